@@ -145,7 +145,8 @@ class Engine:
         if s.t_ns is None or t_ns <= s.t_ns:
             return s
         lateral = self._lateral.propagated(
-            s.lateral, MotionStep((t_ns - s.t_ns) * 1e-9, float(s.x[PSI]), s.tilt.down, None)
+            s.lateral,
+            MotionStep((t_ns - s.t_ns) * 1e-9, float(s.x[PSI]), s.tilt.down, None, s.tilt.follows_force),
         )
         ekf = self._ahead
         ekf.load(s.x, s.P)
@@ -282,7 +283,7 @@ class Engine:
         else:
             tilt = known.tilt
         rate = level_yaw_rate(sample.gyro_rad_s, tilt.down)
-        lateral = self._lateral_propagated(s, t_ns, tilt.down, sample.accel_m_s2)
+        lateral = self._lateral_propagated(s, t_ns, tilt, sample.accel_m_s2)
         d = self._propagation.with_gyro(s.reckoning, self.ekf, sample, rate)
         if judged.clipped_from_ns is not None:
             self.ekf.widen(PSI, clipped_variance(before, judged))
@@ -303,7 +304,7 @@ class Engine:
     ) -> State:
         q = sample.unit()
         yaw_rad = yaw_of_quaternion(q)
-        lateral = self._lateral_propagated(s, sample.t_ns, s.tilt.down)
+        lateral = self._lateral_propagated(s, sample.t_ns, s.tilt)
         d = self._propagation.with_attitude_yaw(s.reckoning, self.ekf, sample.t_ns, yaw_rad)
         if earlier is not None and earlier[0].tilt is s.tilt:
             tilt = earlier[1].tilt
@@ -370,17 +371,17 @@ class Engine:
         return self._fuse_heading(s, sample, m, attitude)
 
     def _lateral_propagated(
-        self, s: State, t_ns: int, down: Vector, accel_m_s2: Vector | None = None
+        self, s: State, t_ns: int, tilt: tilts.Tilt, accel_m_s2: Vector | None = None
     ) -> Lateral:
         """Return the lateral offset after a propagation step."""
         last_ns = s.reckoning.t_ns
         dt_s = 0.0 if last_ns is None else (t_ns - last_ns) * 1e-9
-        step = new_record(MotionStep, (dt_s, self.ekf.x.item(PSI), down, accel_m_s2))
+        step = new_record(MotionStep, (dt_s, self.ekf.x.item(PSI), tilt.down, accel_m_s2, tilt.follows_force))
         return self._lateral.propagated(s.lateral, step)
 
     def _propagated_to(self, s: State, t_ns: int, frames: SampleTimes) -> State:
         """Propagate to a sample that does not measure the yaw rate; ``frames`` are the frames' times up to it."""
-        lateral = self._lateral_propagated(s, t_ns, s.tilt.down)
+        lateral = self._lateral_propagated(s, t_ns, s.tilt)
         d = self._propagation.hold(s.reckoning, self.ekf, t_ns)
         delay = self._delay_in_mode(s, d)
         x, P = self.ekf.x, self.ekf.P

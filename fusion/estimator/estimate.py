@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 
 MAX_REJECTED_SHARE = 0.5  # of the frames of the last half second; beyond it the heading is coasting
+TILT_NOT_TURNING = "attitude does not roll and pitch as the gyroscope does: check its frame, sign and stamps"
 REFUSED_SAMPLES = 20  # impossible values in a row before a source is reported that was never used
 REFUSED = {
     "imu_not_finite": "gyroscope is not finite",
@@ -231,7 +232,7 @@ def notices_of(
     axis, clocks = state.axis, [] if arrivals is None else list(arrivals.notices())
     status = status_of(state, config, t_ns, heading_std_rad, arrivals)
     if status is Status.INITIALISING:
-        clocks = [*clocks, *state.checks.installation.notices(state.tilt.down, config.gyro_scale_std)]
+        clocks = [*clocks, *_installation_notices(state, config)]
         text = "waiting for frames that agree" if axis.votes else "no usable frame yet"
         return clocks or [Notice(Fault.NOT_STARTED, text)]
     seen_ns = _seen_ns(state, t_ns, arrivals)
@@ -266,6 +267,12 @@ def _seen_ns(state: State, t_ns: int, arrivals: ArrivalTimes | None) -> int:
     return t_ns if not latency_ns else max(t_ns - latency_ns, state.frames.last_ns or 0)
 
 
+def _installation_notices(state: State, config: FusionConfig) -> Iterator[Notice]:
+    yield from state.checks.installation.notices(config.gyro_scale_std)
+    if state.tilt.check.is_wrong:
+        yield Notice(Fault.TILT_WRONG, TILT_NOT_TURNING)
+
+
 def _sensor_notices(
     state: State, config: FusionConfig, t_ns: int, arrivals: ArrivalTimes | None
 ) -> Iterator[Notice]:
@@ -277,7 +284,7 @@ def _sensor_notices(
     reckoning = state.reckoning
     if (wrong := state.checks.gyro.notice(t_ns)) is not None:
         yield wrong
-    yield from state.checks.installation.notices(state.tilt.down, config.gyro_scale_std)
+    yield from _installation_notices(state, config)
     if (narrow := state.width.notice(config)) is not None:
         yield narrow
     if state.velocity.is_known(t_ns) and (contradicted := state.lateral.speed_check.notice()) is not None:

@@ -35,7 +35,8 @@ class Fault(IntFlag):
     GYRO_SCALE = 1 << 19  # turns far more than the camera sees
     GYRO_BIAS = 1 << 20  # far from zero at rest
     FOCAL_LENGTH = 1 << 21  # the camera sees more, or less, of each turn than the gyroscope
-    TILT_WRONG = 1 << 22  # attitude or accelerometer do not point where gravity does
+    # Attitude or accelerometer do not point where gravity does, or the attitude does not turn with the gyroscope.
+    TILT_WRONG = 1 << 22
     HEADING_CONTESTED = 1 << 23  # frames and prediction disagree; which is wrong is undecided
     # The axis moves up and down as the vehicle rolls: the camera's yaw or principal point differs from the
     # calibration.

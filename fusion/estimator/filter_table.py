@@ -17,7 +17,7 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import heading_of
 from fusion.estimator.gyro_run import PATH_S, RATE, GyroRun
 from fusion.estimator.lateral.gaussian_sum import OffsetModel, OffsetState, lasting_variances, motion_noise
-from fusion.estimator.lateral.kernels import N_LATERAL, fill_transition, moved
+from fusion.estimator.lateral.kernels import N_LATERAL, MotionNoise, fill_transition, moved
 from fusion.estimator.lateral.mixture_kernels import summarised
 from fusion.estimator.lateral.status import LateralReason, LateralStatus, reason_of
 from fusion.estimator.lateral.updates import offset_model
@@ -101,7 +101,7 @@ def _between_frames(s: State) -> tuple[object, ...]:
 
 
 def _fill_by_frame(rows: Table, s: State, paths: FloatArray, config: FusionConfig) -> None:
-    """Fill in the columns that depend on frames, for states between two frames that differ by paths (n, 5)."""
+    """Fill in the columns that depend on frames, for states between two frames that differ by paths (n, 6)."""
     axis, lateral, half_m = s.axis, s.lateral, s.width.half_m(config)
     rows["corridor_index"], rows["corridor_turn_rad"] = axis.corridor_index, axis.corridor_turn_rad
     rows["vision_age_s"] = _ages_s(rows, axis.t_vision_ns)
@@ -135,7 +135,7 @@ def _ages_s(rows: Table, then_ns: int | None) -> FloatArray:
 def _offsets_along(
     state: OffsetState, paths: FloatArray, model: OffsetModel
 ) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
-    """Return offset (n,), sigma (n,), whether it is probable, and narrow enough, at the ends of paths (n, 5)."""
+    """Return offset (n,), sigma (n,), whether it is probable, and narrow enough, at the ends of paths (n, 6)."""
     n = len(paths)
     if not len(state.x):
         return np.full(n, nan), np.full(n, nan), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
@@ -151,11 +151,11 @@ def _offsets_along(
 def _summarise_along(
     hypotheses: tuple[FloatArray, FloatArray, FloatArray],
     paths: FloatArray,
-    noise: tuple[float, float, float, float, float, float],
+    noise: MotionNoise,
     shared: tuple[float, tuple[float, float], float],
     out: FloatArray,
 ) -> None:
-    """Fill in offset, standard deviation and probability (n, 3) at the ends of paths (n, 5) of the same hypotheses.
+    """Fill in offset, standard deviation and probability (n, 3) at the ends of paths (n, 6) of the same hypotheses.
 
     ``hypotheses`` are x (k, 4), P (k, 4, 4) and weight (k,), ``noise`` is that of
     `fusion.estimator.lateral.kernels.fill_transition`, ``shared`` what `summarised` takes last.
@@ -167,7 +167,7 @@ def _summarise_along(
     for k in range(len(paths)):
         x_there, P_there = x, P
         if paths[k, 0] > 0.0:
-            path = (paths[k, 0], paths[k, 1], paths[k, 2], paths[k, 3], paths[k, 4])
+            path = (paths[k, 0], paths[k, 1], paths[k, 2], paths[k, 3], paths[k, 4], paths[k, 5])
             fill_transition(path, noise, False, F, Q)
             moved(x, P, F, Q, x_end, P_end)
             x_there, P_there = x_end, P_end

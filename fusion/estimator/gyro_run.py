@@ -43,8 +43,8 @@ from vision.compiled import compiled, compiled_inner
 from vision.rotations import wrap
 from vision.types import BoolArray, IntArray
 
-N_PROPAGATED = 20
-THETA, RAW_THETA, PATH_S, RATE = 0, 1, 3, 14  # columns of ``propagated``, see `_process_samples`
+N_PROPAGATED = 21
+THETA, RAW_THETA, PATH_S, RATE = 0, 1, 3, 15  # columns of ``propagated``, see `_process_samples`
 SMALL_STEP_RAD = 0.5 * STEP_RAD  # a larger correction, which may count as a jump, is left to the engine
 _wrap = compiled_inner(wrap)
 
@@ -289,7 +289,7 @@ def compile_gyro_run() -> None:
         propagated,
         makes_step,
     )
-    samples = (np.array([1_000_000]), np.ones(1, np.bool_), np.zeros((1, 7)))
+    samples = (np.array([1_000_000]), np.ones(1, np.bool_), np.zeros((1, 8)))
     times, yaw = (0, 0, 1_000_000_000, 0), (NOTHING, 0.0, 1.0, 1.0)
     x, P, first = np.zeros(n), np.eye(n), np.zeros(N_PROPAGATED)
     _process_samples(samples, x, P, first, times, (0.0,) * 4, (1.0,) * 3, yaw, out)
@@ -318,8 +318,8 @@ def _process_samples(
     x, P
         State (3,) and covariance (3, 3) of the filter.
     first
-        Other propagated values (20,): dead-reckoned heading, the same with the bias, yaw since the last attitude;
-        the five fields of the path and the four of the acceleration; age of the evidence; angle since the last
+        Other propagated values (21,): dead-reckoned heading, the same with the bias, yaw since the last attitude;
+        the six fields of the path and the four of the acceleration; age of the evidence; angle since the last
         gyroscope sample, level yaw rate; yaw and mean interval of the attitudes; residual, test ratio and variance
         of the last yaw.
     times_ns
@@ -332,7 +332,7 @@ def _process_samples(
     yaw
         The first four fields of `fusion.estimator.imu_yaw.YawUpdates`.
     out
-        Output, see `GyroRun`: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3), x_prior, P_prior, propagated (n, 20),
+        Output, see `GyroRun`: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3), x_prior, P_prior, propagated (n, 21),
         makes_step (n,).
     """
     t_ns, is_gyro, steps = samples
@@ -406,21 +406,21 @@ def _scale_variance(scale_variance: float, turned: float, dt_s: float, before: f
 @compiled_inner
 def _extend(row: FloatArray, dt_s: float, heading_rad: float, step: FloatArray, roll: float) -> None:
     """Extend the path of the lateral offset by a step."""
-    path = (row[3], row[4], row[5], row[6], row[7])
-    accel = (row[8], row[9], row[10], int(row[11]))
+    path = (row[3], row[4], row[5], row[6], row[7], row[8])
+    accel = (row[9], row[10], row[11], int(row[12]))
     force, down = (step[1], step[2], step[3]), (step[4], step[5], step[6])
-    path, accel = extended_path(path, accel, dt_s, heading_rad, force, down, roll)
-    row[3], row[4], row[5], row[6], row[7] = path
-    row[8], row[9], row[10], row[11] = accel
-    row[12] += dt_s
+    path, accel = extended_path(path, accel, dt_s, heading_rad, force, down, roll, step[7])
+    row[3], row[4], row[5], row[6], row[7], row[8] = path
+    row[9], row[10], row[11], row[12] = accel
+    row[13] += dt_s
 
 
 @compiled_inner
 def _note_yaw(row: FloatArray, yaw_rad: float, interval_s: float) -> None:
     """Note the yaw and the interval of an attitude, as `fusion.estimator.sample_times.SampleTimes` does."""
-    mean_s = row[16]
-    row[2], row[15] = 0.0, yaw_rad
-    row[16] = 0.8 * mean_s + 0.2 * min(interval_s, 3 * mean_s) if isfinite(mean_s) else interval_s
+    mean_s = row[17]
+    row[2], row[16] = 0.0, yaw_rad
+    row[17] = 0.8 * mean_s + 0.2 * min(interval_s, 3 * mean_s) if isfinite(mean_s) else interval_s
 
 
 @compiled_inner
@@ -447,5 +447,5 @@ def _fuse_yaw(
     if not isfinite(residual) or not variance > 0.0 or ratio > 1.0:
         return False
     updated(x, P, H, residual, variance, x_out, P_out, K)
-    row[17], row[18], row[19] = residual, ratio, expected + variance
+    row[18], row[19], row[20] = residual, ratio, expected + variance
     return bool(abs(x_out[PSI] - x[PSI]) <= SMALL_STEP_RAD)

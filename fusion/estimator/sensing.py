@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 from math import inf, nan
-from typing import NamedTuple, overload
+from typing import NamedTuple, TypeVar, overload
 
 import numpy as np
 
@@ -35,21 +35,31 @@ from fusion.estimator.models import FloatArray, level_yaw_rate
 from fusion.estimator.propagation import ImuSample, Mode
 from fusion.estimator.records import new_record
 from fusion.estimator.state import Sample, Sensed, State
-from fusion.estimator.tilt import MAX_STEP_S, Tilt, attitude_down, tilt_step
+from fusion.estimator.tilt import (
+    ATTITUDE_GAP_S,
+    MAX_STEP_S,
+    START_S,
+    Tilt,
+    attitude_down,
+    tilt_step,
+    turned_by_gyro,
+)
+from fusion.estimator.tilt_check import SPAN_NS, TiltCheck
 from fusion.flight import TimeArray
 from vision.compiled import compiled, compiled_inner
 from vision.rotations import yaw_of_quaternion
 from vision.types import BoolArray
 
-N_NUMBERS, N_COUNTS = 9, 4  # columns of `Sensing.numbers` and `Sensing.counts`
+N_NUMBERS, N_COUNTS = 12, 4  # columns of `Sensing.numbers` and `Sensing.counts`
 NEVER = -(2**63)  # time of a sample that has not come
 _level_yaw_rate = compiled_inner(level_yaw_rate)
+T = TypeVar("T")
 
 
 class GoodSamples(NamedTuple):
     """Consecutive good gyroscope samples and attitudes, with tilt and checks after each.
 
-    ``t_ns`` (n,), ``is_gyro`` (n,) and ``steps`` (n, 7) are for compiled code. Rows of ``steps`` are those of
+    ``t_ns`` (n,), ``is_gyro`` (n,) and ``steps`` (n, 8) are for compiled code. Rows of ``steps`` are those of
     `fusion.estimator.state.Sensed`; for an attitude they hold its yaw, no force, and the direction of gravity before.
     """
 
@@ -70,9 +80,12 @@ class SensedAlong(Sequence[Sensed]):
     samples, t_ns, is_gyro, steps
         The samples, as in `GoodSamples`.
     numbers
-        Direction of gravity (3,), time settled, gyroscope bias (3,); last change and noise of the checks: (n, 9).
+        Direction of gravity (3,), time settled, gyroscope bias (3,); last change and noise of the checks; direction
+        turned by the gyroscope (3,): (n, 12).
     counts
         Time of the last force used, samples repeated and stuck, and time of the last change: (n, 4).
+    tilt_checks
+        Each change of the attitude's check with the place of its sample.
     """
 
     def __init__(
@@ -81,8 +94,9 @@ class SensedAlong(Sequence[Sensed]):
         good: tuple[Sequence[Sample], TimeArray, BoolArray, FloatArray],
         numbers: FloatArray,
         counts: TimeArray,
+        tilt_checks: list[tuple[int, TiltCheck]],
     ) -> None:
-        self._start, self._numbers, self._counts = start, numbers, counts
+        self._start, self._numbers, self._counts, self._tilt_checks = start, numbers, counts, tilt_checks
         self._samples, self._t_ns, self._is_gyro, self._steps = good
         places = np.arange(len(self._t_ns))
         self.last_gyro = np.maximum.accumulate(np.where(self._is_gyro, places, -1))
@@ -104,7 +118,7 @@ class SensedAlong(Sequence[Sensed]):
 
     def _tilt(self, i: int) -> Tilt:
         start = self._start.tilt
-        dx, dy, dz, settled, bx, by, bz, _, _ = self._numbers[i].tolist()
+        dx, dy, dz, settled, bx, by, bz, _, _, tx, ty, tz = self._numbers[i].tolist()
         attitude, gyro, accel_ns = self.last_attitude[i], self.last_gyro[i], int(self._counts[i, 0])
         return Tilt(
             (dx, dy, dz),
@@ -114,6 +128,8 @@ class SensedAlong(Sequence[Sensed]):
             None if accel_ns == NEVER else accel_ns,
             settled,
             (bx, by, bz),
+            (tx, ty, tz),
+            _latest(self._tilt_checks, i, start.check),
         )
 
     def _check(self, i: int) -> GyroCheck:
@@ -122,18 +138,13 @@ class SensedAlong(Sequence[Sensed]):
             return start
         sample = self._samples[self.last_gyro[i]]
         assert isinstance(sample, ImuSample)
-        change, noisy = self._numbers[i, 7:].tolist()
+        change, noisy = self._numbers[i, 7:9].tolist()
         repeats, stuck, changed_ns = self._counts[i, 1:].tolist()
         found = (GOOD, sample.t_ns, sample.gyro_rad_s, (), change, noisy, repeats, stuck, changed_ns, None)
         return new_record(GyroCheck, (*found, start.reported, start.reported_ns))
 
     def _installation(self, i: int) -> Installation:
-        found = self._start.checks.installation
-        for place, installation in self._installations:
-            if place > i:
-                break
-            found = installation
-        return found
+        return _latest(self._installations, i, self._start.checks.installation)
 
     def _installations_along(self) -> list[tuple[int, Installation]]:
         """Return each change of the installation checks with the place of its sample."""
@@ -165,17 +176,20 @@ def sense(s: State, samples: Sequence[Sample], config: FusionConfig, grace_ns: i
     d, check, tilt = s.reckoning, s.checks.gyro, s.tilt
     if d.mode is not Mode.GYRO or d.t_gyro_ns is None or check.t_ns is None or tilt.t_ns is None:
         return None
+    if tilt.t_gyro_ns != d.t_gyro_ns or tilt.check.is_wrong:  # the engine then sets the tilt otherwise
+        return None
     t_ns, is_gyro, vectors, forces = _as_arrays(samples)
     n = len(t_ns)
-    steps, numbers = np.empty((n, 7)), np.empty((n, N_NUMBERS))
+    steps, numbers = np.empty((n, 8)), np.empty((n, N_NUMBERS))
     counts = np.empty((n, N_COUNTS), np.int64)
-    attitude_ns, accel_ns = (NEVER if at is None else at for at in (tilt.t_attitude_ns, tilt.t_accel_ns))
+    times_ns = (tilt.t_attitude_ns, tilt.t_accel_ns, tilt.check.since_ns)
+    attitude_ns, accel_ns, since_ns = (NEVER if at is None else at for at in times_ns)
     n = _fill_sensed(
         t_ns,
         is_gyro,
         vectors,
         forces,
-        (tilt.down, tilt.gyro_bias, d.gyro_rad_s, check.gyro_rad_s),
+        (tilt.down, tilt.gyro_bias, d.gyro_rad_s, check.gyro_rad_s, tilt.turned),
         (tilt.settled_s, check.change_rad_s, check.noisy, config.gyro_range_rad_s),
         (
             tilt.t_ns,
@@ -186,13 +200,43 @@ def sense(s: State, samples: Sequence[Sample], config: FusionConfig, grace_ns: i
             check.repeats,
             check.stuck,
             check.changed_ns,
+            since_ns,
         ),
         (steps, numbers, counts),
     )
+    tilt_checks, n = _check_tilt(tilt, samples[:n], is_gyro, numbers)
     if n == 0:
         return None
     good = (samples[:n], t_ns[:n], is_gyro[:n], steps[:n])
-    return GoodSamples(good[0], SensedAlong(s, good, numbers, counts), *good[1:])
+    return GoodSamples(good[0], SensedAlong(s, good, numbers, counts, tilt_checks), *good[1:])
+
+
+def _check_tilt(
+    tilt: Tilt, samples: Sequence[Sample], is_gyro: BoolArray, numbers: FloatArray
+) -> tuple[list[tuple[int, TiltCheck]], int]:
+    """Return each change of the attitude's check with its place, and how many samples come before it is wrong."""
+    check = tilt.check
+    changes: list[tuple[int, TiltCheck]] = []
+    for i in np.flatnonzero(~is_gyro[: len(samples)]).tolist():
+        if not check.ends_span(t_ns := samples[i].t_ns):
+            continue
+        dx, dy, dz = numbers[i, :3].tolist()
+        tx, ty, tz = numbers[i - 1, 9:].tolist() if i else tilt.turned
+        check = check.with_span(t_ns, (dx, dy, dz), (tx, ty, tz))
+        if check.is_wrong:  # the engine then sets the tilt otherwise
+            return changes, i
+        changes.append((i, check))
+    return changes, len(samples)
+
+
+def _latest(changes: Sequence[tuple[int, T]], i: int, first: T) -> T:
+    """Return the value after a sample from its changes, each with the place of its sample."""
+    found = first
+    for place, value in changes:
+        if place > i:
+            break
+        found = value
+    return found
 
 
 def _as_arrays(samples: Sequence[Sample]) -> tuple[TimeArray, BoolArray, FloatArray, FloatArray]:
@@ -222,9 +266,9 @@ def _as_arrays(samples: Sequence[Sample]) -> tuple[TimeArray, BoolArray, FloatAr
 @cache
 def compile_sensing() -> None:
     """Compile the run, or load it from the cache, before the first sample."""
-    zero, row, out = (0.0, 0.0, 0.0), np.zeros((1, 3)), (np.zeros((1, 7)), np.zeros((1, N_NUMBERS)))
+    zero, row, out = (0.0, 0.0, 0.0), np.zeros((1, 3)), (np.zeros((1, 8)), np.zeros((1, N_NUMBERS)))
     counts, t_ns, is_gyro = np.zeros((1, N_COUNTS), np.int64), np.zeros(1, np.int64), np.ones(1, np.bool_)
-    _fill_sensed(t_ns, is_gyro, row, row, (zero,) * 4, (0.0,) * 4, (0,) * 8, (*out, counts))
+    _fill_sensed(t_ns, is_gyro, row, row, (zero,) * 5, (0.0,) * 4, (0,) * 9, (*out, counts))
 
 
 @compiled
@@ -238,12 +282,15 @@ def _fill_sensed(
         tuple[float, float, float],
         tuple[float, float, float],
         tuple[float, float, float],
+        tuple[float, float, float],
     ],
     start: tuple[float, float, float, float],
-    times_ns: tuple[int, int, int, int, int, int, int, int],
+    times_ns: tuple[int, int, int, int, int, int, int, int, int],
     out: tuple[FloatArray, FloatArray, TimeArray],
 ) -> int:
     """Process samples as `tilt.with_imu`, `tilt.from_quaternion` and `gyro_checks.with_sample` do; return how many.
+
+    All attitudes are taken to follow the gyroscope; `_check_tilt` ends the run where one does not.
 
     Parameters
     ----------
@@ -252,18 +299,19 @@ def _fill_sensed(
     vectors, forces
         Rows (n, 3): rates and forces of gyroscope samples; of attitudes the direction of gravity, and yaw, NaN, NaN.
     directions
-        Direction of gravity, bias, and rate of the last gyroscope sample; the same rate, as the checks know it.
+        Direction of gravity, bias, and rate of the last gyroscope sample; the same rate, as the checks know it;
+        the direction turned by the gyroscope.
     start
         Time settled, last change and noise of the checks; the gyroscope's range.
     times_ns
         Times of the tilt, the last attitude, the last force and the last gyroscope sample; the longest gap; samples
-        repeated and stuck, and the time of the last change.
+        repeated and stuck, and the time of the last change; start of the span of the attitude's check.
     out
         Output: ``steps``, ``numbers`` and ``counts``, see `GoodSamples` and `SensedAlong`.
     """
-    down, bias, rate, checked = directions
+    down, bias, rate, checked, turned = directions
     settled_s, change, noisy, top = start
-    last_ns, attitude_ns, accel_ns, gyro_ns, grace_ns, repeats, stuck, changed_ns = times_ns
+    last_ns, attitude_ns, accel_ns, gyro_ns, grace_ns, repeats, stuck, changed_ns, since_ns = times_ns
     steps, numbers, counts = out
     for k in range(len(t_ns)):
         now = (vectors[k, 0], vectors[k, 1], vectors[k, 2])
@@ -278,21 +326,25 @@ def _fill_sensed(
             ages = (_age_s(t_ns[k], attitude_ns), _age_s(t_ns[k], accel_ns))
             down, bias, settled_s, used = tilt_step(down, bias, settled_s, dt, mean, force, ages)
             accel_ns = t_ns[k] if used else accel_ns
+            turned = turned_by_gyro(turned, mean, (t_ns[k] - gyro_ns) * 1e-9)
             rate, checked, gyro_ns = now, now, t_ns[k]
-            steps[k, 0] = _level_yaw_rate(now, down)
+            steps[k, 0], last_ns = _level_yaw_rate(now, down), t_ns[k]
         else:
             steps[k, 0] = force[0]
+        steps[k, 7] = 1.0 if _age_s(last_ns, attitude_ns) > ATTITUDE_GAP_S else 0.0
         for i in range(3):
             steps[k, 1 + i] = force[i] if is_gyro[k] and _is_usable(force) else nan
             steps[k, 4 + i] = down[i]
         if not is_gyro[k]:
-            down, attitude_ns = now, t_ns[k]
-        last_ns = t_ns[k]
+            down, attitude_ns, last_ns, settled_s = now, t_ns[k], t_ns[k], START_S
+            if since_ns == NEVER or not 0 <= t_ns[k] - since_ns < SPAN_NS:
+                turned, since_ns = now, t_ns[k]
         row = numbers[k]
         row[0], row[1], row[2] = down
         row[3] = settled_s
         row[4], row[5], row[6] = bias
         row[7], row[8] = change, noisy
+        row[9], row[10], row[11] = turned
         counts[k, 0], counts[k, 1], counts[k, 2], counts[k, 3] = accel_ns, repeats, stuck, changed_ns
     return len(t_ns)
 

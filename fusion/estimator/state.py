@@ -114,7 +114,8 @@ class Sensed(NamedTuple):
     tilt, gyro, installation
         Parts of the state; of the installation only the fields from the IMU are independent of frames.
     step
-        Level yaw rate, force (3,) or NaN, direction of gravity (3,); only for a good gyroscope sample, else None.
+        Level yaw rate, force (3,) or NaN, direction of gravity (3,), and whether the accelerometer
+        corrects it; only for a good gyroscope sample, else None.
     """
 
     tilt: Tilt
@@ -211,5 +212,5 @@ def sensed_after(state: State, sample: Sample | None = None) -> Sensed:
     tilt, gyro, step = state.tilt, state.checks.gyro, None
     if isinstance(sample, ImuSample) and gyro.verdict is GyroVerdict.GOOD and gyro.clipped_from_ns is None:
         force = usable_force(sample.accel_m_s2) or NO_FORCE
-        step = (level_yaw_rate(sample.gyro_rad_s, tilt.down), *force, *tilt.down)
+        step = (level_yaw_rate(sample.gyro_rad_s, tilt.down), *force, *tilt.down, float(tilt.follows_force))
     return Sensed(tilt, gyro, state.checks.installation, step)

@@ -3,7 +3,8 @@
 The tilt is represented by the direction of gravity g in the body frame (a unit vector), which has no singularity. Its
 kinematics are ``g' = g x omega``.
 
-- With an attitude stream, each sample sets g, and the gyroscope propagates it between samples.
+- With an attitude stream that follows the gyroscope (`fusion.estimator.tilt_check`), each sample sets g, and the
+  gyroscope propagates it between samples.
 - Otherwise a complementary filter of gyroscope and accelerometer (R. Mahony, T. Hamel, J.-M. Pflimlin, "Nonlinear
   complementary filters on the special orthogonal group", IEEE Transactions on Automatic Control 53(5), 2008, with
   gravity as the only reference): ``g' = g x (omega - b - k e)``, ``b' = k_b e``, with the error e the cross product
@@ -21,6 +22,7 @@ import numpy as np
 
 from fusion.estimator.kernels import NO_FORCE, FloatArray, Quaternion, Vector, corrected_down, turned_down
 from fusion.estimator.records import new_record
+from fusion.estimator.tilt_check import UNKNOWN_DOWN, TiltCheck
 from fusion.flight import TimeArray
 from vision.compiled import compiled
 from vision.measurement import Attitude
@@ -52,9 +54,14 @@ class Tilt(NamedTuple):
     t_attitude_ns, t_gyro_ns, t_accel_ns
         Last sample of each kind; None before the first.
     settled_s
-        Time over which the accelerometer has been used.
+        Time over which the accelerometer has been used; an attitude needs no start.
     gyro_bias
         Gyroscope bias estimated by the complementary filter, rad/s.
+    turned
+        The attitude's direction of gravity at the start of the check's span, turned by the gyroscope since; NaN if
+        unknown.
+    check
+        Whether the attitude follows the gyroscope.
     """
 
     down: Vector = (0.0, 0.0, 1.0)
@@ -64,16 +71,37 @@ class Tilt(NamedTuple):
     t_accel_ns: int | None = None
     settled_s: float = 0.0
     gyro_bias: Vector = (0.0, 0.0, 0.0)
+    turned: Vector = UNKNOWN_DOWN
+    check: TiltCheck = TiltCheck()
+
+    @property
+    def follows_force(self) -> bool:
+        """Whether there is no recent attitude, so that the accelerometer corrects the direction."""
+        then_ns, now_ns = self.t_attitude_ns, self.t_ns
+        return then_ns is None or now_ns is None or (now_ns - then_ns) * 1e-9 > ATTITUDE_GAP_S
 
     def clock_set_back(self, t_ns: int) -> Tilt:
         """Keep the direction, valid from an earlier time on, and forget the times of the samples."""
-        return self._replace(t_ns=t_ns, t_attitude_ns=None, t_gyro_ns=None, t_accel_ns=None)
+        return self._replace(
+            t_ns=t_ns, t_attitude_ns=None, t_gyro_ns=None, t_accel_ns=None, turned=UNKNOWN_DOWN
+        )
 
 
 def from_quaternion(tilt: Tilt, t_ns: int, q_world_body: Quaternion) -> Tilt:
-    """Set the tilt from an attitude sample: a unit quaternion w, x, y, z, body FRD to a world with z down."""
-    _, _, _, *rest = tilt
-    return new_record(Tilt, (attitude_down(q_world_body), t_ns, t_ns, *rest))
+    """Set the tilt from an attitude sample, unless it does not follow the gyroscope.
+
+    ``q_world_body`` is a unit quaternion w, x, y, z, body FRD to a world with z down.
+    """
+    _, _, _, t_gyro, t_accel, _, bias, turned, check = tilt
+    down = attitude_down(q_world_body)
+    if check.ends_span(t_ns):
+        was_wrong, check = check.is_wrong, check.with_span(t_ns, down, turned)
+        turned = down
+        if check.is_wrong and not was_wrong:  # start from the accelerometer
+            tilt = tilt._replace(t_attitude_ns=None, t_accel_ns=None, settled_s=0.0)
+    if check.is_wrong:
+        return tilt._replace(turned=turned, check=check)
+    return new_record(Tilt, (down, t_ns, t_ns, t_gyro, t_accel, START_S, bias, turned, check))
 
 
 def attitude_down(q_world_body: Quaternion) -> Vector:
@@ -87,14 +115,17 @@ def with_imu(tilt: Tilt, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | Non
     ``gyro_rad_s`` is the mean rate since the last step, body FRD; ``accel_m_s2`` the specific force, about
     (0, 0, -9.81) at rest and level, or None.
     """
-    down, last_ns, t_attitude, _, t_accel, settled, bias = tilt
+    down, last_ns, t_attitude, t_gyro, t_accel, settled, bias, turned, check = tilt
     dt = 0.0 if last_ns is None else min(max((t_ns - last_ns) * 1e-9, 0.0), MAX_STEP_S)
     ages = (
         inf if t_attitude is None else (t_ns - t_attitude) * 1e-9,
         inf if t_accel is None else (t_ns - t_accel) * 1e-9,
     )
     down, bias, settled, used = tilt_step(down, bias, settled, dt, gyro_rad_s, accel_m_s2 or NO_FORCE, ages)
-    return new_record(Tilt, (down, t_ns, t_attitude, t_ns, t_ns if used else t_accel, settled, bias))
+    if t_gyro is not None:
+        turned = turned_by_gyro(turned, gyro_rad_s, (t_ns - t_gyro) * 1e-9)
+    t_accel = t_ns if used else t_accel
+    return new_record(Tilt, (down, t_ns, t_attitude, t_ns, t_accel, settled, bias, turned, check))
 
 
 @compiled
@@ -134,10 +165,16 @@ def tilt_step(
     return turned_down(down, (p, q, r), dt), bias, settled_s, False
 
 
+@compiled
+def turned_by_gyro(down: Vector, rate: Vector, dt: float) -> Vector:
+    """Return a direction turned by the gyroscope; NaN after a gap."""
+    return turned_down(down, rate, dt) if 0.0 <= dt <= MAX_STEP_S else UNKNOWN_DOWN
+
+
 @cache
 def compile_tilt() -> None:
     """Compile the filter step, or load it from the cache, before the first sample."""
-    with_imu(Tilt(), 0, (0.0, 0.0, 0.0), None)
+    with_imu(with_imu(Tilt(), 0, (0.0, 0.0, 0.0), None), 0, (0.0, 0.0, 0.0), None)
 
 
 def tilt_along(
@@ -193,6 +230,7 @@ def _fill_tilts(
             attitude += 1
             last_ns = attitude_t_ns[attitude]
             down = (attitude_down[attitude, 0], attitude_down[attitude, 1], attitude_down[attitude, 2])
+            settled_s = START_S
         dt = min(max((now_ns - last_ns) * 1e-9, 0.0), MAX_STEP_S)
         attitude_age_s = inf if attitude < 0 else (now_ns - attitude_t_ns[attitude]) * 1e-9
         force_age_s = (now_ns - force_ns) * 1e-9 if has_force else inf

@@ -268,7 +268,7 @@ def _lens_problems(flight: Flight) -> Iterator[str]:
 def _camera_problems(last: State | None, config: FusionConfig) -> Iterator[str]:
     """Report the whole flight's evidence on the camera's calibration."""
     if last is not None:
-        for notice in last.checks.installation.notices(last.tilt.down, config.gyro_scale_std):
+        for notice in last.checks.installation.notices(config.gyro_scale_std):
             if notice.fault in (Fault.FOCAL_LENGTH, Fault.CAMERA_YAW):
                 yield notice.text
 

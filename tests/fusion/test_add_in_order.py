@@ -12,6 +12,7 @@ from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.state import Entry, Sample, State
+from tests.fusion.simulated import quaternion
 from vision.measurement import FrameMeasurement, Reason
 
 STEP_NS = 5_000_000
@@ -45,10 +46,52 @@ def samples_of(seed: int, with_attitude: bool, with_accel: bool) -> list[Sample]
 @pytest.mark.parametrize("with_attitude", [True, False])
 @pytest.mark.parametrize("with_accel", [True, False])
 def test_as_one_by_one(config: FusionConfig, with_attitude: bool, with_accel: bool) -> None:
+    assert_equal(config, samples_of(1, with_attitude, with_accel))
+
+
+@pytest.mark.parametrize(
+    ("kind", "with_accel"),
+    [
+        ("right", True),
+        ("wrong sign", True),
+        ("frozen", True),
+        ("silent", True),
+        ("silent", False),
+        ("wrong for a while", True),
+        ("wrong for a while", False),
+    ],
+)
+def test_attitude_against_the_gyroscope(kind: str, with_accel: bool) -> None:
+    wrong = assert_equal(FusionConfig(), rolling(kind, with_accel))
+    assert any(wrong) == (kind not in ("right", "silent"))
+    assert not (kind == "wrong for a while" and wrong[-1])
+
+
+def rolling(kind: str, with_accel: bool) -> list[Sample]:
+    """Return 20 s of a vehicle that rolls; from 2 s on its attitude is wrong, for 4 s at least, or silent."""
+    rng = np.random.default_rng(2)
+    out: list[Sample] = []
+    for k in range(4000):
+        t_ns, roll, rate = k * STEP_NS, 0.1 * sin(0.02 * k), 0.3 * sin(0.01 * k)
+        true = (0.4 * cos(0.02 * k), rate * sin(roll), rate * cos(roll))
+        p, q, r = (rng.normal(0.0, 0.01, 3) + np.array(true)).tolist()
+        out.append(
+            ImuSample(t_ns, (p, q, r), (0.0, -9.8 * sin(roll), -9.8 * cos(roll)) if with_accel else None)
+        )
+        if k % 4 or (kind == "silent" and 400 <= k < 1200):
+            continue
+        if k >= 400 and (k < 1200 or kind != "wrong for a while"):
+            roll = {"wrong sign": -roll, "wrong for a while": -roll, "frozen": 0.05}.get(kind, roll)
+        yaw = 0.15 * (1.0 - cos(0.01 * k))
+        out.append(AttitudeSample(t_ns + 1_000_000 * (k % 3), quaternion(roll, 0.0, yaw)))
+    return out
+
+
+def assert_equal(config: FusionConfig, samples: list[Sample]) -> list[bool]:
+    """Compare both ways to add samples; return whether the attitude was taken to be wrong along them."""
     finals: tuple[list[Entry], list[Entry]] = ([], [])
     both = [CorridorEstimator(config, on_final=found.append) for found in finals]
     waiting: list[Sample] = []
-    samples = samples_of(1, with_attitude, with_accel)
     for i, sample in enumerate(samples):
         both[0].add(sample)
         waiting.append(sample)
@@ -72,6 +115,7 @@ def test_as_one_by_one(config: FusionConfig, with_attitude: bool, with_accel: bo
         assert plain(one.after) == plain(other.after)
         assert [node.P.tolist() for node in one.nodes] == [node.P.tolist() for node in other.nodes]
     assert both[0].estimate().status == "tracking"
+    return [entry.after.tilt.check.is_wrong for entry in finals[1]]
 
 
 def plain(state: State) -> str:

@@ -50,7 +50,7 @@ def named_s(
         seen = float(rng.uniform(-1.0, 1.0)) if rng.random() < gross else atan(focal * tan(true))
         at = float(np.interp(stamp, t, turned))
         installation = installation.with_frame(round(stamp * 1e9), seen, at, radians(0.4))
-        told = [notice.fault for notice in installation.notices((0.0, 0.0, 1.0), SCALE_STD)]
+        told = [notice.fault for notice in installation.notices(SCALE_STD)]
         if Fault.FOCAL_LENGTH in told:
             return stamp
     return inf
@@ -96,9 +96,8 @@ def test_a_gyroscope_that_may_be_off_by_more_is_no_focal_length() -> None:
         turned = 0.4 * float(np.sin(t))
         seen = turned / 1.1 + float(rng.normal(0.0, 0.007))
         installation = installation.with_frame(round(t * 1e9), seen, turned, radians(0.4))
-    down = (0.0, 0.0, 1.0)
-    assert [notice.fault for notice in installation.notices(down, SCALE_STD)] == [Fault.FOCAL_LENGTH]
-    assert not list(installation.notices(down, 0.05))
+    assert [notice.fault for notice in installation.notices(SCALE_STD)] == [Fault.FOCAL_LENGTH]
+    assert not list(installation.notices(0.05))
 
 
 @pytest.mark.parametrize("focal", [1.0, 1.12])

@@ -3,8 +3,8 @@
 - Turn rates: over spans of a quarter second, the frames' turn rate y is regressed on the gyroscope's rate x:
   ``y = a + m x``. A slope m near -1 is a wrong sign, one near 0 a wrong unit; ``-a / m`` is the gyroscope's bias.
   Sums fade with `MEMORY`, and the stated variances count as `PRIOR_TURNS` turns beside the residuals.
-- Gravity: at rest the accelerometer reads (0, 0, -9.8) m/s^2 in FRD; its mean must agree with the attitude's
-  vertical.
+- Gravity: at rest the accelerometer reads (0, 0, -9.8) m/s^2 in FRD. The mean angle e between each force and the
+  attitude's vertical then is a mean acceleration g e: over a time T, the speed changes by g e T, which is limited.
 - Camera: its yaw shows when the vehicle rolls (`camera_yaw`), its focal length in the headings (`focal_length`), its
   time stamps in turns (`frame_timing`).
 """
@@ -20,6 +20,7 @@ from fusion.estimator.faults import Fault, Notice
 from fusion.estimator.installation.camera_yaw import CameraYaw
 from fusion.estimator.installation.focal_length import FocalLength
 from fusion.estimator.installation.frame_timing import FrameTiming
+from fusion.estimator.lateral.updates import usable_force
 from fusion.estimator.models import Vector
 from fusion.estimator.records import new_record
 from vision.rotations import wrap_axis
@@ -34,9 +35,8 @@ FAST_RAD_S = 3.0  # rms turn rate that no flight along a corridor reaches
 SLOW_RAD_S, SLOW_NS = 1.0, 500_000_000
 MAX_BIAS_RAD_S = 0.1
 IMU_STEP_NS, IMU_MEMORY_S, ACCEL_MIN_S, FAST_MIN_S = 50_000_000, 3.0, 0.5, 2.0
-MAX_TILT_ERROR_RAD = radians(20)
-LEAN_MEMORY_S, LEAN_MIN_S = 10.0, 4.0  # no vehicle accelerates in one direction for so long
-MAX_LEAN_RAD = radians(7)
+LEAN_MEMORY_S = 10.0
+MAX_LEAN_RAD, LEAN_S = radians(7), 7.0  # together, a change of speed of 8.4 m/s
 GRAVITY_M_S2, MIN_FORCE_M_S2 = 9.8, 4.9  # no vehicle falls for so long that the mean is half of gravity
 INVERTED = "accelerometer is upside down: give FRD, (0, 0, -9.8) m/s^2 at rest"
 FROM_FRAMES = 6  # the first fields of an `Installation` come from frames, the others from the IMU
@@ -92,9 +92,10 @@ class Installation(NamedTuple):
         Estimate of the focal length's error.
     timing
         Estimate of the frames' time-stamp error.
-    accel_m_s2, force_m_s2, lean, turning_rad2_s2, imu_s, imu_ns
-        Mean specific force, mean of its size, mean angle (3,) from the attitude's up to it about each axis, and mean
-        square of the gyroscope's rate; the time over which they are averaged, and their last update.
+    force_m_s2, force_z, upright, lean, turning_rad2_s2, imu_s, imu_ns
+        Means: size of the specific force; component of its direction along the body's z; cosine and angle (3,) from
+        the attitude's up to it, the angle about each axis; square of the gyroscope's rate. The time over which they
+        are averaged, and their last update.
     fast_ns
         Times of the first and the last rate beyond `SLOW_RAD_S` without a pause of `SLOW_NS` between.
     """
@@ -105,8 +106,9 @@ class Installation(NamedTuple):
     camera_yaw: CameraYaw = CameraYaw()
     focal_length: FocalLength = FocalLength()
     timing: FrameTiming = FrameTiming()
-    accel_m_s2: Vector = (0.0, 0.0, 0.0)
     force_m_s2: float = GRAVITY_M_S2
+    force_z: float = -1.0
+    upright: float = 1.0
     lean: Vector = (0.0, 0.0, 0.0)
     turning_rad2_s2: float = 0.0
     imu_s: float = 0.0
@@ -161,40 +163,34 @@ class Installation(NamedTuple):
     def with_imu(
         self, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | None, down: Vector
     ) -> Installation:
-        """Add an IMU sample every `IMU_STEP_NS`; without accelerometer the mean specific force stays.
+        """Add an IMU sample every `IMU_STEP_NS`; without a usable force its means stay.
 
         ``down`` is gravity's direction by the attitude in use, body FRD.
         """
         if self.imu_ns is not None and t_ns - self.imu_ns < IMU_STEP_NS:
             return self
+        accel_m_s2 = usable_force(accel_m_s2)
         p, q, r = gyro_rad_s
         turning = p * p + q * q + r * r
         if self.imu_ns is None:
-            accel = self.accel_m_s2 if accel_m_s2 is None else accel_m_s2
-            force = self.force_m_s2 if accel_m_s2 is None else hypot(*accel_m_s2)
-            fast = (t_ns, t_ns)
-            return self._replace(
-                imu_ns=t_ns,
-                accel_m_s2=accel,
-                force_m_s2=force,
-                turning_rad2_s2=turning,
-                imu_s=0.0,
-                fast_ns=fast,
-            )
+            return self._replace(imu_ns=t_ns, turning_rad2_s2=turning, imu_s=0.0, fast_ns=(t_ns, t_ns))
         step_s = (t_ns - self.imu_ns) * 1e-9
         gain = step_s / (min(self.imu_s, IMU_MEMORY_S) + step_s)
-        mean, mx, my, mz = self.turning_rad2_s2, *self.accel_m_s2
-        ax, ay, az = self.accel_m_s2 if accel_m_s2 is None else accel_m_s2
-        slow, lean, force = step_s / (min(self.imu_s, LEAN_MEMORY_S) + step_s), self.lean, self.force_m_s2
+        slow = step_s / (min(self.imu_s, LEAN_MEMORY_S) + step_s)
+        force, z, upright = self.force_m_s2, self.force_z, self.upright
+        mean, lean = self.turning_rad2_s2, self.lean
         if accel_m_s2 is not None:
-            force += gain * (hypot(ax, ay, az) - force)
-            (lx, ly, lz), (nx, ny, nz) = lean, _lean(accel_m_s2, down)
+            size = hypot(*accel_m_s2)
+            cosine, nx, ny, nz = _lean(accel_m_s2, size, down)
+            lx, ly, lz = lean
+            force += gain * (size - force)
+            z += gain * (accel_m_s2[2] / max(size, 1.0) - z)
+            upright += gain * (cosine - upright)
             lean = (lx + slow * (nx - lx), ly + slow * (ny - ly), lz + slow * (nz - lz))
-        accel = (mx + gain * (ax - mx), my + gain * (ay - my), mz + gain * (az - mz))
         fast = self.fast_ns
         if turning > SLOW_RAD_S**2:
             fast = (fast[0] if t_ns - fast[1] <= SLOW_NS else t_ns, t_ns)
-        found = (accel, force, lean, mean + gain * (turning - mean), self.imu_s + step_s, t_ns, fast)
+        found = (force, z, upright, lean, mean + gain * (turning - mean), self.imu_s + step_s, t_ns, fast)
         return new_record(Installation, (*self[:FROM_FRAMES], *found))
 
     def agrees_on_imu(self, other: Installation) -> bool:
@@ -205,11 +201,11 @@ class Installation(NamedTuple):
         """Return the record with the fields from frames of another one."""
         return new_record(Installation, (*other[:FROM_FRAMES], *self[FROM_FRAMES:]))
 
-    def notices(self, down: Vector, gyro_scale_std: float = 0.0) -> Iterator[Notice]:
-        """Yield the installation faults; ``down`` is gravity's direction by the attitude in use, body FRD.
+    def notices(self, gyro_scale_std: float = 0.0) -> Iterator[Notice]:
+        """Yield the installation faults, but none that follows from another one.
 
-        A gyroscope in degrees corrupts the tilt, and a wrong tilt reverses the level yaw rate. Turns are therefore
-        only judged if neither is found.
+        A gyroscope in degrees corrupts the tilt, and a tilt upside down reverses the level yaw rate. One that leans
+        changes the size of the turns, and the roll.
         """
         if self._is_in_degrees():
             text = f"gyroscope turns at {sqrt(self.turning_rad2_s2):.0f} rad/s: convert deg/s to rad/s"
@@ -217,21 +213,20 @@ class Installation(NamedTuple):
             if self._accelerometer_is_inverted():  # independent of the tilt
                 yield Notice(Fault.TILT_WRONG, INVERTED)
             return
-        tilt = self._tilt_fault_text(down)
-        if tilt is None:
-            of_turns = list(self._turn_notices(gyro_scale_std))
-            yield from of_turns
-            # A gyroscope of another unit or sign makes the estimated stamp error meaningless.
-            if self.timing.is_off and not any(
-                n.fault in (Fault.GYRO_SIGN, Fault.GYRO_SCALE) for n in of_turns
-            ):
-                yield Notice(Fault.CAMERA_CLOCK, self.timing.text)
-            if self.camera_yaw.is_off:
-                angle = degrees(abs(self.camera_yaw.angle_rad))
-                text = f"camera points {angle:.0f} deg to one side: check principal point and mounting"
-                yield Notice(Fault.CAMERA_YAW, text)
-        else:
-            yield Notice(Fault.TILT_WRONG, tilt)
+        accel, tilt = self._accelerometer_fault_text(), self._tilt_fault_text()
+        if accel or tilt:
+            yield Notice(Fault.TILT_WRONG, accel or tilt or "")
+        if self._tilt_is_inverted():
+            return
+        of_turns = list(self._turn_notices(gyro_scale_std))
+        yield from (n for n in of_turns if tilt is None or n.fault is not Fault.FOCAL_LENGTH)
+        # A gyroscope of another unit or sign makes the estimated stamp error meaningless.
+        if self.timing.is_off and not any(n.fault in (Fault.GYRO_SIGN, Fault.GYRO_SCALE) for n in of_turns):
+            yield Notice(Fault.CAMERA_CLOCK, self.timing.text)
+        if tilt is None and self.camera_yaw.is_off:
+            angle = degrees(abs(self.camera_yaw.angle_rad))
+            text = f"camera points {angle:.0f} deg to one side: check principal point and mounting"
+            yield Notice(Fault.CAMERA_YAW, text)
 
     def _is_in_degrees(self) -> bool:
         """Whether the gyroscope is too fast for too long, and frames have not confirmed its rates."""
@@ -242,22 +237,28 @@ class Installation(NamedTuple):
         return lasts and not self._scale_is_confirmed()
 
     def _accelerometer_is_inverted(self) -> bool:
-        return self.imu_s >= ACCEL_MIN_S and self.accel_m_s2[2] > 5.0
+        return self.imu_s >= ACCEL_MIN_S and self.force_z > 0.5
 
-    def _tilt_fault_text(self, down: Vector) -> str | None:
-        ax, ay, az = self.accel_m_s2
+    def _accelerometer_fault_text(self) -> str | None:
         if self.imu_s < ACCEL_MIN_S:
             return None
         if self._accelerometer_is_inverted():
             return INVERTED
         if self.force_m_s2 < MIN_FORCE_M_S2:
             return f"accelerometer reads {self.force_m_s2:.1f} m/s^2 and not gravity: check its unit, m/s^2"
-        dot = -(ax * down[0] + ay * down[1] + az * down[2])
-        cross = hypot(ay * down[2] - az * down[1], az * down[0] - ax * down[2], ax * down[1] - ay * down[0])
-        if dot < 0.0:
+        return None
+
+    def _tilt_is_inverted(self) -> bool:
+        """Whether the tilt in use is upside down, by an accelerometer that may be so itself."""
+        return self.imu_s >= ACCEL_MIN_S and self.force_z * self.upright > 0.0
+
+    def _tilt_fault_text(self) -> str | None:
+        """Return what is wrong with attitude or accelerometer, by comparison."""
+        if self.imu_s < ACCEL_MIN_S:
+            return None
+        if self.upright < 0.0:
             return "attitude is upside down: give it from FRD to a world with z down"
-        leans = self.imu_s > LEAN_MIN_S and hypot(*self.lean) > MAX_LEAN_RAD
-        if leans or cross > MAX_TILT_ERROR_RAD * dot:
+        if hypot(*self.lean) * min(self.imu_s, LEAN_S) > MAX_LEAN_RAD * LEAN_S:
             return "attitude and accelerometer disagree: check how each is mounted"
         return None
 
@@ -306,8 +307,9 @@ class Installation(NamedTuple):
             yield Notice(Fault.GYRO_BIAS, text)
 
 
-def _lean(force: Vector, down: Vector) -> Vector:
-    """Return the angle (3,) from the attitude's up to the specific force, rad about the body's axes, if small."""
+def _lean(force: Vector, size: float, down: Vector) -> tuple[float, float, float, float]:
+    """Return cosine and angle from the attitude's up to a force of this size; about each axis, if small."""
     (fx, fy, fz), (dx, dy, dz) = force, down
-    norm = max(hypot(fx, fy, fz), 1.0)
-    return (fy * dz - fz * dy) / norm, (fz * dx - fx * dz) / norm, (fx * dy - fy * dx) / norm
+    norm = max(size, 1.0)
+    cosine = -(fx * dx + fy * dy + fz * dz) / norm
+    return cosine, (fy * dz - fz * dy) / norm, (fz * dx - fx * dz) / norm, (fx * dy - fy * dx) / norm

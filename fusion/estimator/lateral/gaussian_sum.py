@@ -25,9 +25,12 @@ additions::
         [ 0  0   1      0  ]
         [ 0  0   0      1  ]
 
-Without an accelerometer, or if its noise exceeds `OffsetModel.rough_limit`, v is a Gauss-Markov process instead. The
-speed w across the corridor from a velocity stream is a measurement of v: ``0 = v - w s``; its variance is inflated if
-the innovation is beyond `SPEED_SIGMA`.
+If the accelerometer corrects the tilt, because there is no attitude stream, the tilt leans after the accelerations
+themselves: the measured a is the true one without its slow part, k / (s + k) for the gain k = 0.4/s, and c, which
+contains the difference, walks faster (``leaning_walk``, about k sigma_a sqrt(2 tau_a) for accelerations of
+0.4 m/s^2 that last for a second). Without an accelerometer, or if its noise exceeds `OffsetModel.rough_limit`, v is a
+Gauss-Markov process instead. The speed w across the corridor from a velocity stream is a measurement of v:
+``0 = v - w s``; its variance is inflated if the innovation is beyond `SPEED_SIGMA`.
 
 **Measurement update.** A frame's likelihood of the offset is ``p(y) = e / 2 + sum_j w_j N(o_j; y, sigma_j^2)``, with
 e the probability that the frame cannot tell. Errors of successive frames are correlated, so a frame that follows the
@@ -62,6 +65,7 @@ import numpy as np
 from fusion.estimator.kernels import NO_FORCE
 from fusion.estimator.lateral.kernels import (
     N_LATERAL,
+    MotionNoise,
     S,
     Y,
     correct_all,
@@ -93,6 +97,7 @@ class OffsetModel(NamedTuple):
     accel_noise: float = 0.09  # m/s/sqrt(s); tilt errors, added to the accelerometer's measured noise
     accel_bias_std: float = 0.15  # m/s^2
     accel_bias_walk: float = 0.03  # m/s^2/sqrt(s); slow errors of the attitude
+    leaning_walk: float = 0.2  # m/s^2/sqrt(s); the same of a tilt that the accelerometer corrects
     rough_limit: float = 0.17  # m/s/sqrt(s); an accelerometer with more noise is not used
     velocity_std_m_s: float = 0.3  # without accelerometer
     velocity_time_s: float = 1.0
@@ -119,7 +124,8 @@ class OffsetModel(NamedTuple):
 class Path(NamedTuple):
     """Motion since the hypotheses' time: duration, part of it with accelerometer, integrals A1 and A2.
 
-    ``noise`` is the integral of the squared noise density of the accelerometer.
+    ``noise`` is the integral of the squared noise density of the accelerometer, ``leaning_s`` the time in
+    which the accelerometer corrects the tilt.
     """
 
     t_s: float = 0.0
@@ -127,6 +133,7 @@ class Path(NamedTuple):
     a1: float = 0.0
     a2: float = 0.0
     noise: float = 0.0
+    leaning_s: float = 0.0
 
     def followed_by(self, on: Path) -> Path:
         """Return this path followed by another one."""
@@ -136,6 +143,7 @@ class Path(NamedTuple):
             self.a1 + on.a1,
             self.a2 + self.a1 * on.t_s + on.a2,
             self.noise + on.noise,
+            self.leaning_s + on.leaning_s,
         )
 
     def since(self, start: Path) -> Path:
@@ -147,6 +155,7 @@ class Path(NamedTuple):
             self.a1 - start.a1,
             self.a2 - start.a2 - start.a1 * t_s,
             self.noise - start.noise,
+            self.leaning_s - start.leaning_s,
         )
 
 
@@ -215,10 +224,16 @@ def propagate(
     heading_rad: float,
     force: tuple[float, float, float] | None,
     down: tuple[float, float, float],
+    follows_force: bool = False,
 ) -> OffsetState:
-    """Propagate by ``dt_s``, with the specific force at the end of the step; None without a sample."""
+    """Propagate by ``dt_s``, with the specific force at the end of the step; None without a sample.
+
+    ``follows_force``: whether the accelerometer corrects the tilt ``down``.
+    """
     x, P, weight, path, accel, roll, spread2, age_s = state
-    longer, sample = extended_path((*path,), (*accel,), dt_s, heading_rad, force or NO_FORCE, down, roll[0])
+    longer, sample = extended_path(
+        (*path,), (*accel,), dt_s, heading_rad, force or NO_FORCE, down, roll[0], float(follows_force)
+    )
     path, accel = new_record(Path, longer), new_record(Acceleration, sample)
     return new_record(OffsetState, (x, P, weight, path, accel, roll, spread2, age_s + dt_s))
 
@@ -230,15 +245,15 @@ def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tup
     corridor would otherwise have less noise and win for that reason alone.
     """
     F, Q = np.empty((N_LATERAL, N_LATERAL)), np.empty((N_LATERAL, N_LATERAL))
-    t_s, accel_s, a1, a2, noise = path
-    fill_transition((t_s, accel_s, a1, a2, noise), motion_noise(model), backward, F, Q)
+    fill_transition((*path,), motion_noise(model), backward, F, Q)
     return F, Q
 
 
-def motion_noise(m: OffsetModel) -> tuple[float, float, float, float, float, float]:
+def motion_noise(m: OffsetModel) -> MotionNoise:
     """Return the noise parameters that `fill_transition` takes from a model."""
     inverse, _ = m.inverse_half_width
-    return inverse, m.accel_noise, m.accel_bias_walk, m.rough_limit, m.velocity_std_m_s, m.velocity_time_s
+    walks = (m.accel_noise, m.accel_bias_walk, m.leaning_walk)
+    return inverse, *walks, m.rough_limit, m.velocity_std_m_s, m.velocity_time_s
 
 
 def along_path(state: OffsetState, path: Path, model: OffsetModel, *, backward: bool = False) -> OffsetState:
@@ -252,8 +267,7 @@ def _propagated_along(
 ) -> tuple[FloatArray, FloatArray]:
     if not path.t_s > 0.0 or not len(state.x):
         return state.x, state.P
-    t_s, accel_s, a1, a2, noise = path
-    return propagated_along(state.x, state.P, (t_s, accel_s, a1, a2, noise), motion_noise(model), backward)
+    return propagated_along(state.x, state.P, (*path,), motion_noise(model), backward)
 
 
 def at_path_end(state: OffsetState, model: OffsetModel) -> OffsetState:

@@ -21,7 +21,8 @@ ACCEL_SHARE = 0.9  # part of a path that accelerometer samples must cover for it
 MAX_SILENCE_S = 0.1  # longest time for which the accelerometer's last sample is held
 ROUGHNESS_SAMPLES = 100  # memory of the accelerometer's noise density
 
-PathNumbers = tuple[float, float, float, float, float]
+PathNumbers = tuple[float, float, float, float, float, float]
+MotionNoise = tuple[float, float, float, float, float, float, float]
 AccelerationNumbers = tuple[float, float, float, int]
 
 
@@ -56,13 +57,14 @@ def extended_path(
     force: Vector,
     down: Vector,
     roll_rad: float,
+    follows_force: float,
 ) -> tuple[PathNumbers, AccelerationNumbers]:
     """Extend a path by ``dt_s``, with the specific force at the end of the step; NaN without a sample.
 
-    ``path`` and ``accel`` are the fields of a `gaussian_sum.Path` and ``Acceleration``; the
-    other arguments are as in `levelled`.
+    ``path`` and ``accel`` are the fields of a `gaussian_sum.Path` and ``Acceleration``; ``follows_force`` is 1 if the
+    accelerometer corrects the tilt, else 0; the other arguments are as in `levelled`.
     """
-    t_s, accel_s, a1, a2, noise = path
+    t_s, accel_s, a1, a2, noise, leaning_s = path
     last, silent_s, density2, n = accel
     if force[0] == force[0]:
         forward, right = levelled(force, down, roll_rad)
@@ -84,7 +86,8 @@ def extended_path(
         noise += density2 * dt_s
     else:
         a2 += a1 * dt_s
-    return (t_s + dt_s, accel_s, a1, a2, noise), (last, silent_s, density2, n)
+    leaning_s += follows_force * dt_s
+    return (t_s + dt_s, accel_s, a1, a2, noise, leaning_s), (last, silent_s, density2, n)
 
 
 @compiled
@@ -115,8 +118,8 @@ def moved(
 
 @compiled
 def fill_transition(
-    path: tuple[float, float, float, float, float],
-    noise: tuple[float, float, float, float, float, float],
+    path: PathNumbers,
+    noise: MotionNoise,
     backward: bool,
     F: FloatArray,
     Q: FloatArray,
@@ -128,19 +131,20 @@ def fill_transition(
     path
         The fields of a `gaussian_sum.Path`.
     noise
-        One over the half width, accel_noise, accel_bias_walk, rough_limit, velocity_std_m_s and velocity_time_s of an
-        `OffsetModel`.
+        One over the half width, accel_noise, accel_bias_walk, leaning_walk, rough_limit, velocity_std_m_s and
+        velocity_time_s of an `OffsetModel`.
     backward
         Whether the transition is from the end of the path to its start.
     F, Q
         Output.
     """
-    t, accel_s, a1, a2, rough = path
-    scale, accel_noise, bias_walk, rough_limit, v_std, tau = noise
+    t, accel_s, a1, a2, rough, leaning_s = path
+    scale, accel_noise, bias_walk, leaning_walk, rough_limit, v_std, tau = noise
     F[:], Q[:] = 0.0, 0.0
     for k in range(N_LATERAL):
         F[k, k] = 1.0
     n2, b2 = scale**2 * (rough / t + accel_noise**2), (scale * bias_walk) ** 2
+    b2 += (scale * leaning_walk) ** 2 * leaning_s / t
     sign = -1.0 if backward else 1.0
     Q[C, C] = b2 * t
     if accel_s < ACCEL_SHARE * t or n2 > (scale * rough_limit) ** 2:
@@ -167,8 +171,8 @@ def fill_transition(
 def propagated_along(
     x: FloatArray,
     P: FloatArray,
-    path: tuple[float, float, float, float, float],
-    noise: tuple[float, float, float, float, float, float],
+    path: PathNumbers,
+    noise: MotionNoise,
     backward: bool,
 ) -> tuple[FloatArray, FloatArray]:
     """Return hypotheses (k, 4), (k, 4, 4) predicted along a path, or backward along it; see `fill_transition`."""

@@ -60,12 +60,15 @@ class MotionStep(NamedTuple):
         Heading at its start.
     down, accel_m_s2
         Direction of gravity and specific force, both in the body (FRD); the force is None without accelerometer.
+    follows_force
+        Whether the accelerometer corrects the direction of gravity.
     """
 
     dt_s: float
     heading_rad: float
     down: Vector
     accel_m_s2: Vector | None
+    follows_force: bool = False
 
 
 class LateralOffset:
@@ -107,10 +110,11 @@ class LateralOffset:
 
     def propagated(self, lateral: Lateral, step: MotionStep) -> Lateral:
         """Propagate by one step."""
-        dt_s, heading_rad, down, accel_m_s2 = step
+        dt_s, heading_rad, down, accel_m_s2, follows_force = step
         if dt_s <= 0.0 and accel_m_s2 is None:
             return lateral if lateral.step is None else lateral._replace(step=None)
-        offset = propagate(lateral.offset, dt_s, heading_rad, usable_force(accel_m_s2), down)
+        force = usable_force(accel_m_s2)
+        offset = propagate(lateral.offset, dt_s, heading_rad, force, down, follows_force)
         return new_record(Lateral, (offset, None, *lateral[2:]))
 
     def with_velocity(self, lateral: Lateral, x: FloatArray, P: FloatArray, velocity: Velocity) -> Lateral:
