@@ -30,10 +30,11 @@ def named_s(
     late_s: float = 0.0,
     gross: float = 0.0,
     seconds: float = 60.0,
+    changed_s: float = 0.0,
 ) -> float:
     """When the focal length is said to be wrong, in a flight that weaves; infinite: never.
 
-    Every 15 s the corridor bends for 5 s, to either side by chance, and the vehicle follows within a second.
+    The focal length is right until ``changed_s``. Every 15 s the corridor bends for 5 s, to either side by chance, and the vehicle follows within a second.
     """
     rng, installation, error = np.random.default_rng(seed), Installation(), 0.0
     t = np.arange(0.0, seconds, 0.01)
@@ -47,13 +48,28 @@ def named_s(
     for stamp in stamps:
         error = keep * error + sqrt(1.0 - keep * keep) * float(rng.normal(0.0, radians(0.4)))
         true = float(np.interp(stamp - late_s, t, heading)) + error
-        seen = float(rng.uniform(-1.0, 1.0)) if rng.random() < gross else atan(focal * tan(true))
+        seen = (
+            float(rng.uniform(-1.0, 1.0))
+            if rng.random() < gross
+            else atan((focal if stamp > changed_s else 1.0) * tan(true))
+        )
         at = float(np.interp(stamp, t, turned))
         installation = installation.with_frame(round(stamp * 1e9), seen, at, radians(0.4))
         told = [notice.fault for notice in installation.notices(SCALE_STD)]
         if Fault.FOCAL_LENGTH in told:
             return stamp
     return inf
+
+
+@pytest.mark.parametrize("focal", [0.8, 1.25])
+@pytest.mark.parametrize("turn_deg", [15.0, 30.0])
+@pytest.mark.parametrize("changed_s", [20.0, 60.0, 180.0])
+def test_a_zoom_in_flight_is_named_as_soon_as_a_wrong_lens(
+    focal: float, turn_deg: float, changed_s: float
+) -> None:
+    """However long it was right before."""
+    found = named_s(1, focal, turn_deg=turn_deg, rate_hz=15.0, changed_s=changed_s, seconds=changed_s + 35.0)
+    assert 5.0 < found - changed_s < 30.0
 
 
 @pytest.mark.parametrize("focal", [0.8, 0.9, 1.1, 1.2, 1.3])

@@ -117,3 +117,21 @@ def test_the_estimator_names_the_offset(late_ms: int) -> None:
     assert (Fault.CAMERA_CLOCK in found.faults) == (late_ms != 0)
     if late_ms:
         assert f"frames are stamped 60 ms {'late' if late_ms > 0 else 'early'}" in found.reason
+
+
+@pytest.mark.parametrize("step_deg", [-12.0, -3.0, 6.0, 15.0])
+@pytest.mark.parametrize("at_s", [4.0, 5.2, 6.4])
+@pytest.mark.parametrize("std_deg", [0.1, 0.4])
+def test_a_camera_that_is_knocked_is_not_late(step_deg: float, at_s: float, std_deg: float) -> None:
+    """Nor does the step hide that the frames are late."""
+    rng, right, late = np.random.default_rng(6), FrameTiming(), FrameTiming()
+    found = []
+    for k in range(240):
+        t = k / 12
+        error = radians(step_deg) * (t > at_s) + rng.normal(0.0, radians(std_deg))
+        right = right.with_frame(round(t * 1e9), weaving(t) + error, weaving(t), radians(std_deg))
+        late = late.with_frame(round(t * 1e9), weaving(t - 0.08) + error, weaving(t), radians(std_deg))
+        found.append(right.is_off)
+    assert not any(found)
+    assert late.is_off
+    assert late.late_s == pytest.approx(0.08, abs=0.03)

@@ -22,7 +22,9 @@ def ramp(deg_per_s: float, most_deg: float = 8.0) -> Function:
     return lambda t: radians(deg_per_s) * np.clip(np.asarray(t, float) - START_S, 0.0, most_s)
 
 
-def flown(seed: int, *, slip: float = 0.0, bend: float = 0.0, steel: float = 0.0) -> np.ndarray:
+def flown(
+    seed: int, *, slip: float = 0.0, bend: float = 0.0, steel: float = 0.0, knock_deg: float = 0.0
+) -> np.ndarray:
     """Fly with a slip, bend or pull of the yaw at these rates: time, error, sigma in degrees, contested (n, 4)."""
     none = ramp(1.0, 0.0)
     of_camera, of_axis, of_yaw = (ramp(rate) if rate else none for rate in (slip, bend, steel))
@@ -31,7 +33,7 @@ def flown(seed: int, *, slip: float = 0.0, bend: float = 0.0, steel: float = 0.0
         duration_s=END_S,
         seed=seed,
         heading=lambda t: heading(t) + of_axis(t),
-        axis=lambda t: of_axis(t) - of_camera(t),
+        axis=lambda t: of_axis(t) - of_camera(t) - radians(knock_deg) * (np.asarray(t) > START_S),
         frame_sigma_rad=(radians(0.3), radians(0.3)),
         gyro_hz=100.0,
         gyro_noise=0.003,
@@ -59,6 +61,16 @@ def test_sigma_contains_a_slip_and_it_is_reported(slip: float, seed: int) -> Non
     after = t > START_S + 8.0 / abs(slip) + 2.0
     assert np.abs(error[after]).mean() == pytest.approx(8.0, abs=0.6)
     assert np.median(np.abs(error[after]) / sigma[after]) < 6.0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("knock_deg", [-12.0, 6.0])
+def test_sigma_contains_a_knock_once_it_is_accepted(knock_deg: float, seed: int) -> None:
+    t, error, sigma, _ = flown(seed, knock_deg=knock_deg).T
+    assert np.abs(error[(t > START_S) & (t < START_S + 5.0)]).max() < 1.5
+    after = np.abs(error) > 0.5 * abs(knock_deg)
+    assert after[-1]
+    assert (np.abs(error[after]) / sigma[after]).max() < 5.5
 
 
 @pytest.mark.parametrize("seed", [0, 1])

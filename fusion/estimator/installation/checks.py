@@ -295,8 +295,8 @@ class Installation(NamedTuple):
             text = "gyroscope turns against the camera: give it in FRD, positive to the right"
             yield Notice(Fault.GYRO_SIGN, text)
             return
-        if 0.5 < slope < 2.0 and self.focal_length.is_off(gyro_scale_std):
-            seen = 1.0 + self.focal_length.share
+        if 0.5 < slope < 2.0 and (focal := self.focal_length.error(gyro_scale_std)):
+            seen = 1.0 + focal
             text = (
                 f"camera sees {seen:.2f} times the gyroscope's turns: check focal length and gyroscope scale"
             )

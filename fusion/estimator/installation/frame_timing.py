@@ -7,7 +7,8 @@ angle alpha is modelled as::
 
 with omega the turn rate. The term k contains the scale error of the gyroscope and the error of the focal length; it
 is fitted too, because angle and rate are correlated over few turns. Means over the last `LEVEL_S` are subtracted from
-all variables, which removes the gyroscope's bias and its random walk.
+all variables, which removes the gyroscope's bias and its random walk. They start again after a step of d, as of a
+camera that is knocked in its mount: it would correlate with the turn made meanwhile.
 
 The error is small against the frames' noise in a span of seconds (`fusion.estimator.frame_drift.Slope.stamp_s`). Here
 the normal equations are summed over `MEMORY_BLOCKS` blocks, 10 s: short enough to follow a clock whose rate is wrong.
@@ -37,6 +38,7 @@ MAX_STEP_S = 0.5  # longest time between frames
 MAX_JUMP_RAD = 0.35  # a larger change of the difference from frame to frame is another axis
 # Differences are clipped at these values times rate and angle, plus five sigmas.
 MAX_OFFSET_S, MAX_SCALE = 0.3, 0.2
+STEP_FRAMES = 3  # clipped on the same side in a row; gross errors have either side
 MIN_RATE_RAD_S = 0.03  # rms of the rate about its mean; with less, c is not observable
 MIN_REPORTED_S = 0.025  # smaller errors have no relevant effect
 N_TERMS = 3  # constant, rate and angle
@@ -54,6 +56,8 @@ class FrameTiming(NamedTuple):
         Time of the last frame, ns, the gyroscope's angle there, and the difference; None before the first.
     level
         Means of rate, angle and difference.
+    off
+        Number of frames in a row whose difference was clipped, negative below the mean.
     since_ns, block
         The block that is being filled: time of its first frame, and its sums.
     blocks
@@ -64,6 +68,7 @@ class FrameTiming(NamedTuple):
 
     last: tuple[int, float, float] | None = None
     level: tuple[float, float, float] | None = None
+    off: int = 0
     since_ns: int | None = None
     block: Sums = (0.0,) * 10
     blocks: tuple[Sums, ...] = ()
@@ -104,9 +109,13 @@ class FrameTiming(NamedTuple):
         mean_rate, mean_angle, mean_difference = self.level
         x, z = rate - mean_rate, gyro_rad - mean_angle
         reach = 5.0 * std_rad + MAX_OFFSET_S * abs(x) + MAX_SCALE * abs(z)
-        y = min(max(difference - mean_difference, -reach), reach)
+        beyond = difference - mean_difference
+        y = min(max(beyond, -reach), reach)
+        off = 0 if y == beyond else max(self.off, 0) + 1 if y > 0.0 else min(self.off, 0) - 1
+        if abs(off) >= STEP_FRAMES:
+            return self._replace(last=last, level=(mean_rate, mean_angle, difference), off=0)
         level = (mean_rate + share * x, mean_angle + share * z, mean_difference + share * y)
-        full = self._replace(last=last, level=level)
+        full = self._replace(last=last, level=level, off=off)
         if full.since_ns is None or t_ns - full.since_ns >= BLOCK_NS:
             full = full._with_block()._replace(since_ns=t_ns, block=(0.0,) * 10)
         w = max(std_rad, MIN_STD) ** -2

@@ -1,7 +1,8 @@
 """Recursive regression slope ``y = a + m x`` with correlated errors: slope, sigma and a significance test.
 
 Points arrive one by one. Running means with time constant `LEVEL_S` are subtracted from both coordinates, so constant
-and slowly drifting errors do not change the slope. Weighted sums are gathered in blocks, which fade with `MEMORY`.
+and slowly drifting errors do not change the slope. Weighted sums are gathered in blocks, which fade with `MEMORY`,
+or of which only the last count.
 
 The variance of the slope depends on the correlation time of the errors, which is unknown. It is therefore estimated
 from ``x`` times residual, summed over overlapping windows of blocks: correlated errors make these sums large (W. K.
@@ -45,6 +46,8 @@ class RunningSlope(NamedTuple):
         Length of a window in blocks; errors with a longer correlation time are not covered by the sigma.
     min_x_std
         Smallest standard deviation of x for which the slope is observable.
+    length
+        Number of blocks that count; 0: all, fading.
     level
         Time of the last point, and running means of x and y; None before the first.
     since_ns, block
@@ -55,12 +58,15 @@ class RunningSlope(NamedTuple):
         Sums over windows of the products of their sums with one another, by rows of the lower triangle.
     recent
         Sums of the blocks of the present window.
+    kept
+        Sums and products of each block that counts, if ``length`` is not 0.
     slope, std
         The slope and its sigma; infinite while unknown.
     """
 
     window: int
     min_x_std: float
+    length: int = 0
     level: tuple[int, float, float] | None = None
     since_ns: int | None = None
     block: Sums = NO_SUMS
@@ -68,6 +74,7 @@ class RunningSlope(NamedTuple):
     sums: Sums = NO_SUMS
     products: tuple[float, ...] = (0.0,) * 15
     recent: tuple[Sums, ...] = ()
+    kept: tuple[tuple[float, ...], ...] = ()
     slope: float = 0.0
     std: float = inf
 
@@ -102,13 +109,19 @@ class RunningSlope(NamedTuple):
     def _with_block(self) -> RunningSlope:
         """Add the full block, and fit."""
         b = self.block
-        n = MEMORY * self.n_blocks + 1.0
-        sw, sx, sy, sxx, sxy = tuple(MEMORY * s + new for s, new in zip(self.sums, b, strict=True))
         recent = (*self.recent, b)[-self.window :]
         window = [sum(column) / sqrt(self.window) for column in zip(*recent, strict=True)]
-        pairs = (window[i] * window[j] for i in range(5) for j in range(i + 1))
-        products = tuple(MEMORY * s + new for s, new in zip(self.products, pairs, strict=True))
-        known = self._replace(n_blocks=n, sums=(sw, sx, sy, sxx, sxy), products=products, recent=recent)
+        newest = (*b, *(window[i] * window[j] for i in range(5) for j in range(i + 1)))
+        kept = (*self.kept, newest)[-self.length :] if self.length else ()
+        if kept:
+            n, sums = float(len(kept)), tuple(sum(column) for column in zip(*kept, strict=True))
+        else:
+            n, old = MEMORY * self.n_blocks + 1.0, (*self.sums, *self.products)
+            sums = tuple(MEMORY * s + new for s, new in zip(old, newest, strict=True))
+        (sw, sx, sy, sxx, sxy), products = sums[:5], sums[5:]
+        known = self._replace(
+            n_blocks=n, sums=(sw, sx, sy, sxx, sxy), products=products, recent=recent, kept=kept
+        )
         x, y = sx / sw, sy / sw
         spread = sxx - sx * x  # weighted
         if n < MIN_BLOCKS or spread < self.min_x_std**2 * sw:
