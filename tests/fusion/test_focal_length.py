@@ -34,7 +34,8 @@ def named_s(
 ) -> float:
     """When the focal length is said to be wrong, in a flight that weaves; infinite: never.
 
-    The focal length is right until ``changed_s``. Every 15 s the corridor bends for 5 s, to either side by chance, and the vehicle follows within a second.
+    The focal length is right until ``changed_s``.
+    Every 15 s the corridor bends for 5 s, to either side by chance, and the vehicle follows within a second.
     """
     rng, installation, error = np.random.default_rng(seed), Installation(), 0.0
     t = np.arange(0.0, seconds, 0.01)

@@ -57,7 +57,7 @@ class FrameTiming(NamedTuple):
     level
         Means of rate, angle and difference.
     off
-        Number of frames in a row whose difference was clipped, negative below the mean.
+        Number of frames in a row whose difference was clipped since it stepped, negative below the mean.
     since_ns, block
         The block that is being filled: time of its first frame, and its sums.
     blocks
@@ -111,7 +111,10 @@ class FrameTiming(NamedTuple):
         reach = 5.0 * std_rad + MAX_OFFSET_S * abs(x) + MAX_SCALE * abs(z)
         beyond = difference - mean_difference
         y = min(max(beyond, -reach), reach)
-        off = 0 if y == beyond else max(self.off, 0) + 1 if y > 0.0 else min(self.off, 0) - 1
+        off, side = 0, 1 if y > 0.0 else -1
+        stepped = abs(difference - then_difference) > 5.0 * std_rad + 0.5 * abs(gyro_rad - then_gyro)
+        if y != beyond and (stepped or self.off * side > 0):
+            off = self.off + side if self.off * side > 0 else side
         if abs(off) >= STEP_FRAMES:
             return self._replace(last=last, level=(mean_rate, mean_angle, difference), off=0)
         level = (mean_rate + share * x, mean_angle + share * z, mean_difference + share * y)
