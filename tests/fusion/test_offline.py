@@ -199,7 +199,7 @@ def test_other_arguments_of_wrong_types_are_refused_in_one_line(fused: FusionRes
     for call, match in (
         (lambda: fuse_flight(office, anything), r"config is of type dict \(give a FusionConfig"),
         (lambda: fuse_flight(office, nothing or {}), "config is of type dict"),  # type: ignore[arg-type]
-        (lambda: load_flight(nothing), r"path is of type NoneType \(give a path"),
+        (lambda: load_flight(nothing), r"no pictures are named \(give a flight, or video and imu"),
         (lambda: load_flight(b"flight"), "path is of type bytes"),  # type: ignore[arg-type]
         (lambda: load_flight(OFFICE, camera=anything), "camera is of type dict"),
         (lambda: open_log(nothing), "path is of type NoneType"),
@@ -401,6 +401,7 @@ def test_a_corridor_begins_in_the_smoothed_table_where_the_vehicle_turned(
         ),
     )
     monkeypatch.setattr("fusion.logs.pictures.camera_folder.read_image", lambda path: path)
+    monkeypatch.setattr("fusion.offline.fuse.examine_lens", lambda frames, camera: None)
     monkeypatch.setattr(
         "fusion.offline.fuse.extract_features", lambda image, camera, method: frames[int(image.name)]
     )
