@@ -129,7 +129,6 @@ def update_diagnosis(
     innovations = before.innovations.with_innovation(normalised, interval_s, rho)
     if not isnan(before.straight_bias_rad_s):  # dead reckoning turns with the bend, the anchor does not
         axis = axis._replace(anchor_rad=axis.anchor_rad + bend_rate(before, ekf) * elapsed_s)
-    axis = axis._replace(slip=axis.slip.faded(elapsed_s))
     kept = exp(-interval_s / SHORT_S)
     rejected_share = kept * before.rejected_share + (0.0 if axis.was_accepted else 1.0 - kept)
     noise = _inertial_noise(config, axis.frame_noise.gyro_scale)
@@ -155,8 +154,6 @@ def update_diagnosis(
         now = end_bend(now, ekf)
     if found is Hypothesis.SPIKE:
         now = now._replace(comparisons=(new,))
-    if now.reported == ReportedFault(Hypothesis.BEND, new.t_ns):
-        axis = axis._replace(slip=axis.slip.with_drift(comparisons))
     return axis._replace(diagnosis=now), drift
 
 

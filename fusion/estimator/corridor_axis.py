@@ -25,7 +25,6 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.frame_noise import FrameNoise
 from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations, ReportedFault
 from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, Gate, heading_model
-from fusion.estimator.mount_slip import MountSlip
 from fusion.estimator.noise_adaptation import SourceNoise
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, DeadReckoning, Mode, yaw_at
 from fusion.estimator.votes import AGREEING_SHARE, Vote, add_vote, agreement
@@ -185,8 +184,6 @@ class CorridorAxis(NamedTuple):
         Fault isolation for frames that disagree with the prediction.
     attitude_drift
         Drift of the attitude's yaw against the frames while no gyroscope propagates the heading.
-    slip
-        Drift of the frames from gyroscope and IMU yaw, by a bend or a slip of the camera.
     """
 
     acquired: bool = False
@@ -214,7 +211,6 @@ class CorridorAxis(NamedTuple):
     previous: PreviousAxis | None = None
     diagnosis: Diagnosis = Diagnosis()
     attitude_drift: AttitudeDrift = AttitudeDrift()
-    slip: MountSlip = MountSlip()
 
     @property
     def test_ratio(self) -> float:
@@ -224,7 +220,7 @@ class CorridorAxis(NamedTuple):
     @property
     def common_std_rad(self) -> float:
         """Sigma of the heading's errors that successive frames have, or may have, in common."""
-        return hypot(self.lasting_std_rad, self.attitude_drift.undecided_std_rad, self.slip.std_rad)
+        return hypot(self.lasting_std_rad, self.attitude_drift.undecided_std_rad)
 
     @property
     def was_accepted(self) -> bool:

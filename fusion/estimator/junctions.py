@@ -97,9 +97,7 @@ def decide(
     if differs and _has_turned_into(axis, theta_rad, heading, found, lasting_s, c):
         return axis, NewCorridor(heading, found.value, found.std, same_corridor=False)
     if enough and lasting_s >= min(c.axis_jump_hold_s, 0.3 + axis.support_s):
-        # No turn explains the votes: the present axis is the wrong one, or the camera has moved in its mount.
-        if axis.support_s > WEAK_SUPPORT_S:
-            axis = axis._replace(slip=axis.slip.with_jump(wrap_axis(heading - psi_rad)))
+        # No turn explains the votes: the present axis is the wrong one.
         if axis.corridor_index == 0:
             return axis, Recovery(_facing(heading, psi_rad), found.std)
         return axis, NewCorridor(heading, found.value, found.std, same_corridor=True)
