@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fusion.estimator.estimate import Status
+from fusion.estimator.notices import Status
 
 BODY_RADIUS_M = 0.25
 SETTLED_M, SETTLED_RAD, SETTLED_S = 0.15, radians(6), 2.0

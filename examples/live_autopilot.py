@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion import Estimate
-from fusion.estimator.estimate import Status
+from fusion.estimator.notices import Status
 
 os.environ["MAVLINK20"] = "1"  # ODOMETRY is a message of MAVLink 2
 try:

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion import CorridorEstimator, Estimate
-from fusion.estimator.estimate import Status
+from fusion.estimator.notices import Status
 from fusion.live.vision_thread import VisionThread
 from vision import Camera, warm_up
 

@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 
     __version__: str
     from fusion.estimator.config import FusionConfig
-    from fusion.estimator.estimate import Estimate, Status
+    from fusion.estimator.estimate import Estimate
     from fusion.estimator.estimator import CorridorEstimator
     from fusion.estimator.faults import Fault
     from fusion.estimator.frame_update import FrameResult
+    from fusion.estimator.notices import Status
     from fusion.evaluation.errors import evaluate
     from fusion.flight import Flight
     from fusion.logs import load_flight
@@ -55,7 +56,7 @@ _MODULES = {
     "FrameResult": "fusion.estimator.frame_update",
     "FusionConfig": "fusion.estimator.config",
     "FusionResult": "fusion.result.result",
-    "Status": "fusion.estimator.estimate",
+    "Status": "fusion.estimator.notices",
     "evaluate": "fusion.evaluation.errors",
     "fuse_flight": "fusion.offline.fuse",
     "load_flight": "fusion.logs",

@@ -14,8 +14,8 @@ which calls the parts:
 - the filter: `ekf`, `models`, `kernels`, `noise_adaptation`, `frame_noise`, `filterpy_ekf` (for inspection);
 - samples and time: `input_checks`, `arrivals` (clocks), `timeline` (late samples), `sample_times`, `seed`,
   `records`, `state`;
-- results: `estimate`, `diagnostics` (covariance and innovations), `resets`, `events`, `tables`, `filter_table`,
-  `smoother`, `smoothed_table`, `fixed_lag`;
+- results: `estimate`, `notices` (status and faults), `diagnostics` (covariance and innovations), `resets`, `events`,
+  `tables`, `filter_table`, `smoother`, `smoothed_table`, `fixed_lag`;
 - settings: `config`.
 
 Each part takes a sample and returns its own immutable field of `state.State`; some also update the filter that the

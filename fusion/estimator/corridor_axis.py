@@ -273,7 +273,7 @@ class CorridorAxis(NamedTuple):
         """Note whether a frame shows a second direction near the axis; it may be rejected for it."""
         if not m.heading_std_rad > 0.0:  # NaN fails too: no axis was found
             return self
-        variance = _part_of(m.heading_split_std_rad, m.heading_std_rad) ** 2
+        variance = m.heading_split_std_rad**2
         if variance == 0.0 and not any(self.splits):
             return self if not self.splits else self._replace(splits=())
         before = self.splits or (0.0,) * (N_SPLITS - 1)
@@ -286,9 +286,7 @@ class CorridorAxis(NamedTuple):
         """
         if not self.splits:
             return 0.0
-        return max(
-            sorted(self.splits)[-SHOWN_BY] - _part_of(m.heading_split_std_rad, m.heading_std_rad) ** 2, 0.0
-        )
+        return max(sorted(self.splits)[-SHOWN_BY] - m.heading_split_std_rad**2, 0.0)
 
     def with_lasting_error(self, gain: float, m: FrameMeasurement) -> CorridorAxis:
         """Update with the common error of a frame that was fused with this Kalman gain.
@@ -296,8 +294,7 @@ class CorridorAxis(NamedTuple):
         The errors of all frames are taken as equal but for their sigmas, as in the consider (Schmidt-Kalman) filter
         with a constant parameter.
         """
-        own = _part_of(m.heading_lasting_std_rad, m.heading_std_rad)
-        std_rad = sqrt(own**2 + self.unseen_split_variance(m))
+        std_rad = sqrt(m.heading_lasting_std_rad**2 + self.unseen_split_variance(m))
         return self._replace(lasting_std_rad=(1.0 - gain) * self.lasting_std_rad + gain * std_rad)
 
     def with_attitude_drift(self, ekf: CorridorEKF, t_ns: int, rho: float) -> CorridorAxis:
@@ -410,11 +407,6 @@ class CorridorAxis(NamedTuple):
             frame_noise=self.frame_noise.interrupted(),
             attitude_drift=self.attitude_drift.interrupted(),
         )
-
-
-def _part_of(part_rad: float, std_rad: float) -> float:
-    """Return a part of a sigma, or 0 if it is none, as in measurements made elsewhere."""
-    return part_rad if 0.0 < part_rad < std_rad else 0.0  # NaN fails too
 
 
 class Recovery(NamedTuple):

@@ -41,7 +41,8 @@ from fusion.estimator.gyro_checks import (
     rate_that_bridges,
     with_sample,
 )
-from fusion.estimator.gyro_run import GyroRun, compile_gyro_run, leading_good
+from fusion.estimator.gyro_run import GyroRun, leading_good
+from fusion.estimator.gyro_run_kernel import compile_gyro_run
 from fusion.estimator.hypotheses import Hypothesis
 from fusion.estimator.imu_yaw import (
     UNKNOWN_YAW_OFFSET_STD_RAD,

@@ -19,7 +19,7 @@ from fusion.estimator.arrivals import TAKE, Admission, Arrivals
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.diagnostics import Covariance, Innovations, covariance_of, innovations_of
 from fusion.estimator.engine import Engine
-from fusion.estimator.estimate import Estimate, Status, estimate_of
+from fusion.estimator.estimate import Estimate, estimate_of
 from fusion.estimator.events import EventLog
 from fusion.estimator.faults import Fault
 from fusion.estimator.fixed_lag import FixedLag
@@ -36,6 +36,7 @@ from fusion.estimator.input_checks import (
     within_bounds,
 )
 from fusion.estimator.lateral.status import reliable
+from fusion.estimator.notices import Status
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.range_width import RangeSample
 from fusion.estimator.records import new_record

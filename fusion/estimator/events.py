@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.estimate import heading_of, notices_of, status_of
+from fusion.estimator.estimate import heading_of
 from fusion.estimator.lateral.updates import offset_model
+from fusion.estimator.notices import notices_of, status_of
 from fusion.estimator.resets import Resets, only_propagated
 from fusion.estimator.state import Entry, State
 

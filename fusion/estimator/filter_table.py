@@ -15,7 +15,8 @@ import numpy as np
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import heading_of
-from fusion.estimator.gyro_run import PATH_S, RATE, GyroRun
+from fusion.estimator.gyro_run import GyroRun
+from fusion.estimator.gyro_run_kernel import PATH_S, RATE
 from fusion.estimator.lateral.gaussian_sum import OffsetModel, OffsetState, lasting_variances, motion_noise
 from fusion.estimator.lateral.kernels import N_LATERAL, MotionNoise, fill_transition, moved
 from fusion.estimator.lateral.mixture_kernels import summarised
@@ -40,7 +41,7 @@ def filter_table(states: Sequence[State], statuses: Sequence[str], config: Fusio
     states
         At least one state; all after the first sample.
     statuses
-        The `fusion.estimator.estimate.Status` of each.
+        The `fusion.estimator.notices.Status` of each.
     config
         Settings.
     """

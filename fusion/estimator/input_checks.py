@@ -155,9 +155,9 @@ _BOUNDS = (
 def within_bounds(m: FrameMeasurement) -> tuple[FrameMeasurement, tuple[str, ...]]:
     """Return a measurement without impossible values, and the names of the counters of rejected fields.
 
-    A heading beyond half a turn rejects the frame; other fields are set to NaN themselves. NaN is no fault: it means
-    that a field was not measured. Arrays are copied, so that the caller may reuse its own, and made contiguous, so
-    that no code is compiled for another layout in flight.
+    A heading beyond half a turn rejects the frame; other fields are set to NaN themselves, parts of the
+    heading's sigma to 0. NaN is no fault: it means that a field was not measured. Arrays are copied, so that the
+    caller may reuse its own, and made contiguous, so that no code is compiled for another layout in flight.
     """
     changes: dict[str, Any] = {}
     counted = []
@@ -175,6 +175,9 @@ def within_bounds(m: FrameMeasurement) -> tuple[FrameMeasurement, tuple[str, ...
         changes["wall_profiles"] = np.array(m.wall_profiles, order="C") if is_usable else None
         if not is_usable:
             counted.append("frame_walls")
+    for name in ("heading_lasting_std_rad", "heading_split_std_rad"):
+        if getattr(m, name) != 0.0 and not 0.0 < getattr(m, name) < m.heading_std_rad:  # NaN fails too
+            changes[name] = 0.0  # no part of the heading's sigma
     if m.accepted and abs(m.heading_rad) > pi:  # not so for NaN, which is rejected as unmeasured
         changes |= {"accepted": False, "reason": Reason.UNCERTAIN, "heading_rad": nan}
         counted.append("frame_heading")

@@ -187,6 +187,8 @@ def tilt_along(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the tilt at every sample of a log, as `with_imu` and `from_quaternion` compute it.
 
+    The attitude is not checked against the gyroscope.
+
     Parameters
     ----------
     t_ns, gyro_rad_s, accel_m_s2

@@ -12,8 +12,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.estimate import Estimate, Status
+from fusion.estimator.estimate import Estimate
 from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.notices import Status
 from fusion.live.clock import AutopilotClock, LeastLatency, SyncState
 from fusion.live.packets import PacketWriter
 from fusion.live.pose import PoseTracker

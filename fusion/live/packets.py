@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.estimate import Estimate, Status
+from fusion.estimator.estimate import Estimate
+from fusion.estimator.notices import Status
 from fusion.live.pose import Pose
 from fusion.logs.series import quaternions
 

@@ -20,8 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.estimate import Estimate, Status
+from fusion.estimator.estimate import Estimate
 from fusion.estimator.frame_update import FrameResult
+from fusion.estimator.notices import Status
 from fusion.live.cameras import CameraSource, CameraThread, Clock, Picture
 from fusion.live.clock import HostClock, SyncState
 from fusion.live.core import LiveCore

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.estimate import status_of
 from fusion.estimator.events import Event, EventFinder
 from fusion.estimator.filter_table import filter_table, run_table
 from fusion.estimator.frame_update import FrameResult
-from fusion.estimator.gyro_run import PATH_S, GyroRun
+from fusion.estimator.gyro_run import GyroRun
+from fusion.estimator.gyro_run_kernel import PATH_S
 from fusion.estimator.lateral.smoother import OffsetSteps
+from fusion.estimator.notices import status_of
 from fusion.estimator.sample_times import SampleTimes
 from fusion.estimator.smoothed_table import smoothed_table
 from fusion.estimator.smoother import Steps

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fusion import Estimate, FusionConfig
-from fusion.estimator.estimate import Status
+from fusion.estimator.notices import Status
 from fusion.live.clock import AutopilotClock, CameraClock, LeastLatency, SyncState
 from fusion.live.core import LiveCore
 from fusion.live.packets import PacketWriter, quality_of

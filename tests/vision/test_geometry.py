@@ -288,7 +288,7 @@ def test_sigma_is_honest(corridor: Any, seen: Any) -> None:
         m = measure_lines(lines, CAMERA, Attitude(*rng.normal(0, radians(0.5), 2)))
         n_accepted += m.accepted  # rarely, random lines agree on a second direction near the axis
         ratios.append(abs(m.heading_rad - heading) / m.heading_std_rad)
-    assert n_accepted >= 198
+    assert n_accepted >= 199
     assert 0.4 < np.percentile(ratios, 90) < 2.0
 
 

@@ -290,10 +290,10 @@ def _line_set(
 def edge_components(grey: GreyImage, camera: Camera, radial_share: float = 0.0) -> RecordArray:
     """Return the sums (n,) of a picture's connected edges, of `vision.lines.edges.COMPONENT`, at full size.
 
-    The lens model affects only the rectified coordinates of the pixels, not which pixels form a component. Each
-    pixel's distance from the optical axis is multiplied by ``1 + share (r / R)^2``, with r the distance in the
-    picture and R half of its diagonal; for a negative share it is divided by ``1 - share / (1 + share) (r / R)^2``,
-    which gives the same at R and increases with r too.
+    The lens model affects only the rectified coordinates of the pixels, not which pixels form a component. With a
+    ``radial_share`` q, each pixel's distance from the optical axis is multiplied by ``1 + q (r / R)^2``, where r is
+    the distance in the picture and R half of its diagonal. A negative q divides by ``1 - q / (1 + q) (r / R)^2``,
+    which is the same at R, and increases with r too.
     """
     working = working_camera(camera)
     rectified = _rectified(working) if radial_share == 0.0 else _scaled_radially(working, radial_share)

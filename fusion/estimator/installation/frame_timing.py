@@ -56,7 +56,7 @@ class FrameTiming(NamedTuple):
         Time of the last frame, ns, the gyroscope's angle there, and the difference; None before the first.
     level
         Means of rate, angle and difference.
-    off
+    clipped
         Number of frames in a row whose difference was clipped since it stepped, negative below the mean.
     since_ns, block
         The block that is being filled: time of its first frame, and its sums.
@@ -68,7 +68,7 @@ class FrameTiming(NamedTuple):
 
     last: tuple[int, float, float] | None = None
     level: tuple[float, float, float] | None = None
-    off: int = 0
+    clipped: int = 0
     since_ns: int | None = None
     block: Sums = (0.0,) * 10
     blocks: tuple[Sums, ...] = ()
@@ -111,14 +111,17 @@ class FrameTiming(NamedTuple):
         reach = 5.0 * std_rad + MAX_OFFSET_S * abs(x) + MAX_SCALE * abs(z)
         beyond = difference - mean_difference
         y = min(max(beyond, -reach), reach)
-        off, side = 0, 1 if y > 0.0 else -1
-        stepped = abs(difference - then_difference) > 5.0 * std_rad + 0.5 * abs(gyro_rad - then_gyro)
-        if y != beyond and (stepped or self.off * side > 0):
-            off = self.off + side if self.off * side > 0 else side
-        if abs(off) >= STEP_FRAMES:
-            return self._replace(last=last, level=(mean_rate, mean_angle, difference), off=0)
+        clipped, side = 0, 1 if y > 0.0 else -1
+        if y != beyond and self.clipped * side > 0:
+            clipped = self.clipped + side
+        elif y != beyond and abs(difference - then_difference) > 5.0 * std_rad + 0.5 * abs(
+            gyro_rad - then_gyro
+        ):
+            clipped = side
+        if abs(clipped) >= STEP_FRAMES:
+            return self._replace(last=last, level=(mean_rate, mean_angle, difference), clipped=0)
         level = (mean_rate + share * x, mean_angle + share * z, mean_difference + share * y)
-        full = self._replace(last=last, level=level, off=off)
+        full = self._replace(last=last, level=level, clipped=clipped)
         if full.since_ns is None or t_ns - full.since_ns >= BLOCK_NS:
             full = full._with_block()._replace(since_ns=t_ns, block=(0.0,) * 10)
         w = max(std_rad, MIN_STD) ** -2

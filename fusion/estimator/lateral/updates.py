@@ -179,8 +179,7 @@ class LateralOffset:
         if lateral.section.is_another_seen or not mixtures:
             return lateral
         evidence = frame_evidence(mixtures, dt_s, float(x[PSI]), self.camera_arm_m)
-        if 0.0 < m.heading_split_std_rad < m.heading_std_rad:  # NaN fails too
-            evidence = evidence._replace(split_std_rad=m.heading_split_std_rad)
+        evidence = evidence._replace(split_std_rad=m.heading_split_std_rad)
         lateral = lateral.at_path_end(model)
         offset = _with_width(lateral.offset, half_m)
         before = readout_of(offset, model)
