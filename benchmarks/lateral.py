@@ -73,6 +73,7 @@ SIGMA_P90, SIGMA_P90_OF_ALL = (1.0, 2.4), (1.2, 2.0)
 FIRST_KNOWN_S = (1.5, 4.0)  # median, 90th percentile
 EVIDENCE_MS, FILTER_MS = 1.5, 0.3
 HALLWAY_KNOWN, HALLWAY_ROUGH = 0.8, 0.05
+HALLWAY_FRAMES = 46  # of the first corridor, as its README says; a turn by 65 degrees follows
 SMOOTH_S = 1.0  # over which a smooth offset is a parabola
 IMU_PER_FRAME, FRAME_S = 10, 0.05
 
@@ -339,12 +340,13 @@ def aims_of_cost(every: int = 5) -> list[list[str]]:
 
 
 def aims_of_hallway() -> list[list[str]]:
-    """Return the rows of the table of aims on the real hallway, whose offset nobody measured."""
+    """Return the rows of the table of aims on the real hallway's first corridor, whose offset nobody measured."""
     folder = flight_named("mononav_hallway")
     if folder is None:
         return []
-    rows = fuse_flight(load_flight(folder), FusionConfig()).estimates
-    rows = rows[rows["corridor_index"] == 0]
+    flight = load_flight(folder)
+    rows = fuse_flight(flight, FusionConfig()).estimates
+    rows = rows[rows["timestamp_ns"] <= flight.frames.t_ns[HALLWAY_FRAMES - 1]]
     offset, t_s = rows["lateral_offset_norm"], 1e-9 * (rows["timestamp_ns"] - rows["timestamp_ns"][0])
     known = np.isfinite(offset)
     rough = []
