@@ -9,31 +9,21 @@ with the state and models of `fusion.estimator.models`. `fusion.estimator.timeli
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import hypot, nan, pi, sqrt
 from typing import TYPE_CHECKING, assert_never
 
 import numpy as np
 
-from fusion.estimator import junctions
 from fusion.estimator import tilt as tilts
-from fusion.estimator.attitude_drift import AttitudeDrift
-from fusion.estimator.axis_drift import MeasuredHeading, with_diagnosis
 from fusion.estimator.camera_delay import (
     Delay,
-    DelayedInnovation,
-    FrameHeading,
     initial_delay,
-    innovation_of,
-    learn_delay,
-    turned_since_exposure,
-    with_axis,
     with_turns,
 )
-from fusion.estimator.camera_elevation import Elevation
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.corridor_axis import CorridorAxis, Recovery, recover, start
+from fusion.estimator.corridor_axis import CorridorAxis
 from fusion.estimator.ekf import CorridorEKF
-from fusion.estimator.frame_update import FrameResult, FrameSample, measure_with_prior, reason_to_reject
+from fusion.estimator.frame_fusion import FrameFusion
+from fusion.estimator.frame_update import FrameResult, FrameSample
 from fusion.estimator.gyro_checks import (
     GOOD,
     GyroVerdict,
@@ -43,11 +33,9 @@ from fusion.estimator.gyro_checks import (
 )
 from fusion.estimator.gyro_run import GyroRun, leading_good
 from fusion.estimator.gyro_run_kernel import compile_gyro_run
-from fusion.estimator.hypotheses import Hypothesis
 from fusion.estimator.imu_yaw import (
     UNKNOWN_YAW_OFFSET_STD_RAD,
     AttitudeSample,
-    compare_by_frame,
     fuse_imu_yaw,
     yaw_updates,
 )
@@ -55,15 +43,12 @@ from fusion.estimator.lateral.gaussian_sum import OffsetModel
 from fusion.estimator.lateral.status import Lateral
 from fusion.estimator.lateral.updates import LateralOffset, MotionStep, offset_model
 from fusion.estimator.models import (
-    BIAS,
     N_STATES,
     PSI,
     YAW_OFFSET,
     Vector,
-    heading_model,
     level_yaw_rate,
 )
-from fusion.estimator.noise_adaptation import ErrorModel, correlation, update_robustly
 from fusion.estimator.propagation import (
     UNKNOWN_HEADING_STD_RAD,
     DeadReckoning,
@@ -72,20 +57,17 @@ from fusion.estimator.propagation import (
     Propagation,
     with_vision,
 )
-from fusion.estimator.range_width import RangeSample, Width
+from fusion.estimator.range_width import RangeSample
 from fusion.estimator.records import new_record
-from fusion.estimator.sample_times import SampleTimes, seconds_since
+from fusion.estimator.sample_times import SampleTimes
 from fusion.estimator.seed import HeadingSeed, WidthChange, seed_heading
 from fusion.estimator.sensing import GoodSamples, compile_sensing, sense
 from fusion.estimator.state import Checks, Entry, Sample, Sensed, State, sensed_after
 from fusion.estimator.velocity import VelocitySample, with_velocity
-from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
-from vision.rotations import wrap, wrap_axis, yaw_of_quaternion
+from vision.rotations import wrap, yaw_of_quaternion
 
 if TYPE_CHECKING:
     from fusion.estimator.filterpy_ekf import FilterpyEKF
-
-OUTLIER_DENSITY = 1 / pi  # 1/rad: outlying headings are uniform over half a turn
 
 
 class Engine:
@@ -106,6 +88,7 @@ class Engine:
         self._ahead = CorridorEKF(initial.x, initial.P)
         self._propagation = Propagation(config)
         self._lateral = LateralOffset(config, camera_arm_m)
+        self.frame_fusion = FrameFusion(config, self._propagation, self._lateral)
         tilts.compile_tilt()
         compile_sensing()
         compile_gyro_run()
@@ -172,10 +155,7 @@ class Engine:
             case RangeSample():
                 state = state._replace(width=state.width.with_range(sample, state.tilt.down[2]))
             case FrameSample():
-                axis = state.axis
                 state, frame = self._frame(state, sample)
-                if state.axis.t_vision_ns != axis.t_vision_ns:
-                    state = state._replace(reckoning=with_vision(state.reckoning))
             case HeadingSeed():
                 state = self._seeded(state, sample)
             case WidthChange():
@@ -241,27 +221,6 @@ class Engine:
             checks=s.checks.clock_set_back(),
             x=ekf.x,
             P=ekf.P,
-        )
-
-    def expected_frame(self, s: State, t_ns: int) -> Prior:
-        """Return the predicted measurement of a frame at this time."""
-        x, P, d = s.x, s.P, s.reckoning
-        psi = float(x[PSI]) - turned_since_exposure(s.delay, float(x[BIAS]), t_ns, d.raw_theta_rad)
-        offset = offset_std = nan
-        if seconds_since(t_ns, s.lateral.t_ns) <= s.frames.age_limit_s(self.config):
-            half_m = s.width.half_m(self.config)
-            offset, offset_std = self._lateral.expected(s.lateral, psi, half_m)
-        p, q, r = d.gyro_rad_s
-        return Prior(
-            heading_rad=wrap_axis(psi) if s.axis.acquired else nan,
-            heading_std_rad=sqrt(float(P[PSI, PSI])) if s.axis.acquired else nan,
-            lateral_offset_norm=offset,
-            lateral_offset_norm_std=offset_std,
-            width_per_height=s.width.per_height,
-            elevation_rad=s.elevation.mean_rad,
-            elevation_std_rad=s.elevation.std_rad,
-            body_rate_rad_s=sqrt(p * p + q * q + r * r) if d.mode is Mode.GYRO else nan,
-            body_rates_rad_s=(p, q, r) if d.mode is Mode.GYRO else None,
         )
 
     def _imu(self, s: State, sample: ImuSample, earlier: tuple[Sensed, Sensed] | None = None) -> State:
@@ -339,37 +298,13 @@ class Engine:
         return s._replace(width=s.width.with_set_width(sample.width_m), lateral=lateral)
 
     def _frame(self, s: State, sample: FrameSample) -> tuple[State, FrameResult]:
-        lateral = s.frames.begins_period(sample.t_ns, self.config.lateral_rate_hz)
+        seen_ns = s.axis.t_vision_ns
+        with_offset = s.frames.begins_period(sample.t_ns, self.config.lateral_rate_hz)
         s = self._propagated_to(s, sample.t_ns, s.frames.with_sample(sample.t_ns))
-        if sample.measure is None:
-            return s, FrameResult(sample.stamp_ns, None, False, Reason.UNREADABLE)
-        repeats = s.checks.repeats.with_frame(sample, s.reckoning, s.checks.gyro)
-        s = s._replace(checks=s.checks._replace(repeats=repeats))
-        if repeats.found:
-            m = sample.measure if isinstance(sample.measure, FrameMeasurement) else None
-            return s, FrameResult(sample.stamp_ns, m, False, Reason.REPEATED)
-        attitude = tilts.attitude_at(s.tilt, sample.t_ns, self.config.attitude_std_rad)
-        if isinstance(sample.measure, FrameMeasurement):
-            m = sample.measure
-        else:
-            prior, psi_rad = self.expected_frame(s, sample.t_ns), float(self.ekf.x[PSI])
-            m = measure_with_prior(sample.measure, attitude, prior, psi_rad, lateral, self.config)
-        s = s._replace(axis=s.axis.with_split_seen(m))
-        reason = reason_to_reject(m, self.config)
-        if reason is not Reason.OK:
-            if s.axis.acquired and not m.accepted and m.offset_evidence:  # relative to the predicted axis
-                seen, half_m = s.lateral.with_section_seen(sample.t_ns, m), s.width.half_m(self.config)
-                s = s._replace(lateral=self._lateral.fused(seen, self.ekf.x, sample.t_ns, m, half_m))
-            return s, FrameResult(sample.stamp_ns, m, False, reason)
-        installed = s.checks.installation
-        if s.reckoning.mode is Mode.GYRO and s.axis.diagnosis.found is not Hypothesis.SPIKE:
-            installed = installed.with_frame(
-                sample.t_ns, m.heading_rad, s.reckoning.raw_theta_rad, m.heading_std_rad
-            )
-        else:
-            installed = installed.interrupted()
-        s = s._replace(checks=s.checks._replace(installation=installed))
-        return self._fuse_heading(s, sample, m, attitude)
+        s, result = self.frame_fusion.fused(s, self.ekf, sample, with_offset)
+        if s.axis.t_vision_ns != seen_ns:
+            s = s._replace(reckoning=with_vision(s.reckoning))
+        return s, result
 
     def _lateral_propagated(
         self, s: State, t_ns: int, tilt: tilts.Tilt, accel_m_s2: Vector | None = None
@@ -395,146 +330,3 @@ class Engine:
         if s.delay is None or d.mode is s.reckoning.mode:
             return s.delay
         return s.delay.interrupted()
-
-    def _with_axis_checked(self, s: State, sample: FrameSample) -> State:
-        """Drop an axis that is lost, and evidence that gyroscope or frame stamps no longer support."""
-        axis, d = s.axis, s.reckoning
-        if axis.acquired and float(self.ekf.P[PSI, PSI]) > self.config.lost_heading_std_rad**2:
-            axis = axis.lost()
-        if axis.stamps_suspect != (sample.stamp_std_s > 0.0):
-            axis = axis._replace(stamps_suspect=sample.stamp_std_s > 0.0)
-        if d.mode is not Mode.GYRO:  # without a gyroscope the faulty sensor cannot be isolated
-            axis = axis._replace(
-                diagnosis=axis.diagnosis.restarted(), frame_noise=axis.frame_noise.interrupted()
-            )
-        if d.mode is not Mode.ATTITUDE and axis.attitude_drift != AttitudeDrift():
-            axis = axis._replace(attitude_drift=AttitudeDrift())
-        extra_noise = axis.attitude_drift.density
-        if d.mode is Mode.GYRO:
-            extra_noise = (axis.frame_noise.gyro_scale - 1.0) * self.config.gyro_noise**2
-        if extra_noise != d.extra_noise:
-            d = d._replace(extra_noise=extra_noise)
-        return s if axis is s.axis and d is s.reckoning else s._replace(axis=axis, reckoning=d)
-
-    def _fuse_heading(
-        self, s: State, sample: FrameSample, m: FrameMeasurement, attitude: Attitude | None
-    ) -> tuple[State, FrameResult]:
-        """Update with a frame's heading if it passes the gate, or keep it as a vote for another axis."""
-        s = self._with_axis_checked(s, sample)
-        c, ekf, t_ns, d, axis = self.config, self.ekf, sample.t_ns, s.reckoning, s.axis
-        interval_s = s.frames.interval_s
-        variance = max(m.heading_std_rad, c.heading_std_floor_rad) ** 2 + axis.unseen_split_variance(m)
-        variance += self._propagation.held_rate_variance(d, t_ns)
-        variance += (sample.stamp_std_s * (d.rate_rad_s - float(ekf.x[BIAS]))) ** 2
-        heading = m.heading_rad + turned_since_exposure(s.delay, float(ekf.x[BIAS]), t_ns, d.raw_theta_rad)
-        if not axis.acquired:
-            s = self._acquire(s, t_ns, m, attitude, heading, sqrt(variance))
-            return s, FrameResult(sample.stamp_ns, m, True, Reason.OK)
-        scale, correlation_s = axis.scale_and_correlation(d.mode, c)
-        rho = correlation(t_ns, axis.t_vision_ns, correlation_s)
-        measurement = heading_model(ekf.x, heading, variance)
-        delay, by_delay = s.delay, DelayedInnovation(0.0, 0.0)
-        if delay is not None:
-            delay = with_axis(delay, ekf, t_ns, d.raw_theta_rad, axis.reset_count)
-            by_delay = innovation_of(delay, ekf, t_ns, d.raw_theta_rad)
-        error_model = ErrorModel(
-            axis.gate_sigma(c, t_ns, d.theta_rad - float(ekf.x[PSI]), float(ekf.P[PSI, PSI]) + variance),
-            rho,
-            OUTLIER_DENSITY,
-            extra_variance=by_delay.variance,
-            scale=scale,
-            rejected_share=axis.diagnosis.rejected_share,
-        )
-        gate, noise = update_robustly(ekf, measurement, axis.noise, error_model)
-        axis = axis._replace(noise=noise, gate=gate)
-        axis = axis.with_seen_heading(
-            t_ns, heading, sqrt(variance), d, gate.accepted, interval_s, c.imu_yaw_std_rad
-        )
-        result = (gate.residual, gate.test_ratio)
-        if d.mode is Mode.GYRO:
-            clipped_ns = s.checks.gyro.clipped_ns
-            seen = MeasuredHeading(t_ns, heading, variance, rho, interval_s, sample.stamp_std_s, clipped_ns)
-            axis, followed = with_diagnosis(axis, ekf, d, seen, s.imu_yaw.corrects_heading, c)
-            if followed is not None:
-                s = s._replace(axis=followed, delay=delay, x=ekf.x, P=ekf.P)
-                return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
-        if not gate.accepted:
-            vote = (t_ns, d.theta_rad - heading, sqrt(variance))
-            axis = axis.with_vote(*vote, axis.recent[-1].linked, interval_s)
-            s = self._follow_votes(s._replace(axis=axis, delay=delay), t_ns)
-            return s, FrameResult(sample.stamp_ns, m, False, Reason.GATE, *result)
-        if delay is not None and d.mode is Mode.GYRO:
-            at_delay = FrameHeading(t_ns, m.heading_rad, variance * scale, axis.reset_count)
-            delay = learn_delay(delay, ekf, at_delay, by_delay.per_s, c)
-        imu_yaw = compare_by_frame(s.imu_yaw, t_ns, heading, variance, d)
-        axis = axis.with_lasting_error(float(ekf.K[PSI, 0]), m)
-        if d.mode is Mode.ATTITUDE:
-            axis = axis.with_attitude_drift(ekf, t_ns, rho)
-        s = s._replace(axis=axis.confirmed(ekf, t_ns, d.theta_rad), delay=delay, imu_yaw=imu_yaw)
-        s = self._with_accepted(s, t_ns, m, attitude)
-        return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
-
-    def _with_accepted(self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None) -> State:
-        """Use the other measurements of an accepted frame, and store the filter's new state."""
-        lateral, width, elevation = self._fuse_other_measurements(s, t_ns, m, attitude)
-        checks = s.checks
-        if attitude is not None:
-            std_rad = hypot(m.elevation_std_rad, attitude.std_rad)
-            installation = checks.installation.with_elevation(
-                t_ns, m.elevation_rad, std_rad, attitude.roll_rad
-            )
-            checks = checks._replace(installation=installation)
-        x, P = self.ekf.x, self.ekf.P
-        return s._replace(x=x, P=P, lateral=lateral, width=width, elevation=elevation, checks=checks)
-
-    def _acquire(
-        self,
-        s: State,
-        t_ns: int,
-        m: FrameMeasurement,
-        attitude: Attitude | None,
-        heading_rad: float,
-        std_rad: float,
-    ) -> State:
-        """Add a frame to the search for an axis; if that acquires one, use the frame's other measurements too."""
-        ekf, d, interval_s = self.ekf, s.reckoning, s.frames.interval_s
-        axis = s.axis.with_vote(t_ns, d.theta_rad - heading_rad, std_rad, False, interval_s)
-        axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.corrects_heading, self.config, d.mode)
-        axis = axis.with_seen_heading(
-            t_ns, heading_rad, std_rad, d, axis.acquired, interval_s, self.config.imu_yaw_std_rad
-        )
-        axis = axis.with_lasting_error(1.0, m)
-        s = s._replace(axis=axis)
-        if not axis.acquired:
-            return s
-        lateral, width, elevation = self._fuse_other_measurements(s, t_ns, m, attitude)
-        return s._replace(lateral=lateral, width=width, elevation=elevation, x=ekf.x, P=ekf.P)
-
-    def _fuse_other_measurements(
-        self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None
-    ) -> tuple[Lateral, Width, Elevation]:
-        """Use an accepted frame's other measurements: lateral offset, corridor width, elevation of the camera."""
-        lateral = s.lateral.with_section_seen(t_ns, m)
-        another = lateral.section.is_another_seen
-        width = s.width if another else s.width.with_frame(t_ns, m.width_per_height)
-        lateral = self._lateral.fused(lateral, self.ekf.x, t_ns, m, width.half_m(self.config))
-        return lateral, width, s.elevation.with_frame(m, attitude)
-
-    def _follow_votes(self, s: State, t_ns: int) -> State:
-        """Recover the heading or enter another corridor if enough votes against the present axis agree."""
-        c, ekf, theta_rad = self.config, self.ekf, s.reckoning.theta_rad
-        corrects_heading = s.imu_yaw.corrects_heading
-        axis, found = junctions.decide(
-            s.axis, float(ekf.x[PSI]), sqrt(float(ekf.P[PSI, PSI])), t_ns, theta_rad, s.frames.interval_s, c
-        )
-        if found is None:
-            return s._replace(axis=axis)  # the gate rejected the heading: the filter is unchanged
-        imu_yaw = s.imu_yaw.axis_changed()
-        if isinstance(found, Recovery):
-            axis = recover(axis, ekf, found, t_ns, theta_rad, corrects_heading)
-            return s._replace(axis=axis, imu_yaw=imu_yaw, x=ekf.x, P=ekf.P)
-        lateral = s.lateral.without_offset()
-        crossing = junctions.Crossing(corrects_heading, lateral.n_used)
-        axis = junctions.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
-        width = s.width.corridor_changed()
-        return s._replace(axis=axis, imu_yaw=imu_yaw, lateral=lateral, width=width, x=ekf.x, P=ekf.P)

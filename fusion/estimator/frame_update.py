@@ -1,7 +1,7 @@
 """Measurement of a frame with the filter's prediction as prior. Pure functions.
 
 Vision prefers a vanishing point near the predicted heading. If the result is far from the prediction, or the vehicle
-is turned away from the axis, the frame is measured again without prior. `fusion.estimator.engine` fuses the heading.
+is turned away from the axis, the frame is measured again without prior. `fusion.estimator.frame_fusion` fuses it.
 """
 
 from __future__ import annotations

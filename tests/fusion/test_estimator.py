@@ -853,7 +853,7 @@ def test_camera_mount_is_learned_and_handed_on() -> None:
         t = i * 50 * MS
         estimator.add_attitude(t, quaternion(0.0, 0.0, 0.3))
         estimator.add_measurement(t, frame(0.0, elevation_rad=radians(-2.2), elevation_std_rad=radians(0.2)))
-    prior = estimator._engine.expected_frame(estimator._timeline.state, t)
+    prior = estimator._engine.frame_fusion.expected(estimator._timeline.state, t)
     assert degrees(prior.elevation_rad) == pytest.approx(-2.2, abs=0.15)
     assert degrees(prior.elevation_std_rad) < 0.5
 
