@@ -5,7 +5,7 @@ It is independent of logs, reports, plots and the command line: it only imports 
 which calls the parts:
 
 - heading: `propagation` (dead reckoning), `tilt`, `sensing` and `gyro_run` (many samples in one call), `imu_yaw`,
-  `corridor_axis`, `junctions` and `votes`;
+  `corridor_axis`, `axis_acquisition`, `junctions` and `votes`;
 - frames: `frame_update` (a frame's measurement and outcome), `frame_fusion` (its effect on all parts);
 - lateral offset: the package `lateral`; `velocity`, `range_width`;
 - camera: `camera_delay`, `camera_elevation`, `camera_repeats`;

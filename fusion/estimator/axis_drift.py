@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from fusion.estimator.axis_acquisition import Recovery, recover
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.corridor_axis import VOTE_SPACING_S, CorridorAxis, Recovery, recover
+from fusion.estimator.corridor_axis import VOTE_SPACING_S, CorridorAxis
 from fusion.estimator.frame_drift import (
     MIN_POINTS,
     SPANS_S,
@@ -81,7 +82,7 @@ def with_diagnosis(
     Parameters
     ----------
     axis, ekf, corrects_heading, config
-        As in `fusion.estimator.corridor_axis.start`; the axis with the newest frame's innovation.
+        As in `fusion.estimator.axis_acquisition.acquire`; the axis with the newest frame's innovation.
     reckoning
         Dead reckoning by the gyroscope.
     seen
@@ -116,7 +117,7 @@ def update_diagnosis(
     Parameters
     ----------
     axis, ekf
-        As in `fusion.estimator.corridor_axis.start`; the axis with the newest frame's innovation.
+        As in `fusion.estimator.axis_acquisition.acquire`; the axis with the newest frame's innovation.
     new
         The newest frame with gyroscope and IMU yaw.
     rho
@@ -201,7 +202,7 @@ def follow_verdict(
     Parameters
     ----------
     axis, ekf, theta_rad, corrects_heading
-        As in `fusion.estimator.corridor_axis.start`.
+        As in `fusion.estimator.axis_acquisition.acquire`.
     new, drift
         The newest frame, and the slope of frames minus prediction.
     """
@@ -252,7 +253,7 @@ def follow_drift(
     Parameters
     ----------
     axis, ekf, t_ns, theta_rad, corrects_heading
-        As in `fusion.estimator.corridor_axis.start`.
+        As in `fusion.estimator.axis_acquisition.acquire`.
     found
         The fitted line.
     """

@@ -1,12 +1,11 @@
-"""The corridor's axis: acquisition, recovery and loss of the axis that the heading is measured from.
+"""The corridor's axis that the heading is measured from: what is known of it, and of other axes that frames show.
 
 A frame shows the heading psi modulo half a turn. With the dead-reckoned heading theta, the axis ``theta - psi`` is
 constant however the vehicle turns, so headings are compared as axes in that frame:
 
-- `start`: the axis is acquired once `FusionConfig.start_frames` votes agree; their median gives the heading.
+- Before an axis is acquired, each heading votes for one (`fusion.estimator.axis_acquisition`).
 - Headings rejected by the gate are kept as votes for another axis; `fusion.estimator.junctions` decides what they
   mean.
-- `recover`: the covariance is widened along the error, and the filter is updated with the votes' median.
 - A heading is *linked* if no jump lies between it and a heading that the filter accepted, allowing for noise and for
   the turn measured by the gyroscope. Linked headings belong to the present axis even if the gate rejects them.
 """
@@ -18,16 +17,14 @@ from math import hypot, isfinite, isnan, nan, radians, sqrt
 from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from fusion.estimator.attitude_drift import AttitudeDrift
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.frame_noise import FrameNoise
 from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations, ReportedFault
-from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, Gate, heading_model
+from fusion.estimator.models import PSI, Gate
 from fusion.estimator.noise_adaptation import SourceNoise
-from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, DeadReckoning, Mode, yaw_at
-from fusion.estimator.votes import AGREEING_SHARE, Vote, add_vote, agreement
+from fusion.estimator.propagation import DeadReckoning, Mode, yaw_at
+from fusion.estimator.votes import Vote, add_vote
 from vision.measurement import FrameMeasurement
 from vision.rotations import wrap, wrap_axis
 
@@ -407,86 +404,3 @@ class CorridorAxis(NamedTuple):
             frame_noise=self.frame_noise.interrupted(),
             attitude_drift=self.attitude_drift.interrupted(),
         )
-
-
-class Recovery(NamedTuple):
-    """Heading to reset a diverged filter to."""
-
-    heading_rad: float
-    std_rad: float
-
-
-def start(
-    axis: CorridorAxis,
-    ekf: CorridorEKF,
-    t_ns: int,
-    theta_rad: float,
-    corrects_heading: bool,
-    config: FusionConfig,
-    mode: Mode,
-) -> CorridorAxis:
-    """Acquire the heading, at first or after loss, as the median of frames that agree.
-
-    Parameters
-    ----------
-    axis
-        Part of the state, with the newest frame's vote; it is returned as acquired if enough votes agree.
-    ekf
-        Filter to correct.
-    t_ns, theta_rad
-        Time now, and the dead-reckoned heading.
-    corrects_heading
-        Whether the IMU's yaw offset is correlated with the heading.
-    config
-        Settings.
-    mode
-        Source that propagates the heading.
-    """
-    # Frames of a slow camera are seconds apart; meanwhile a gyroscope of unknown bias drifts.
-    drift_rad_s = sqrt(float(ekf.P[BIAS, BIAS])) if mode is Mode.GYRO else 0.0
-    found = agreement(axis.votes, config.recovery_spread_rad, wrap_axis, drift_rad_s)
-    if found is None or found.n_votes < config.start_frames or found.share < AGREEING_SHARE:
-        return axis
-    heading = wrap_axis(theta_rad - found.value)
-    before = float(ekf.x[PSI])
-    if axis.ever_acquired:
-        _widen_heading(ekf, wrap_axis(heading - before), corrects_heading)
-    elif float(ekf.P[PSI, PSI]) < UNKNOWN_HEADING_STD_RAD**2:
-        ekf.widen(PSI, UNKNOWN_HEADING_STD_RAD**2)
-    # Variance from propagating the median frame to now with a gyroscope of unknown bias.
-    age_s = found.age_s if mode is Mode.GYRO else 0.0
-    drift_variance = float(ekf.P[BIAS, BIAS]) * age_s**2 + config.gyro_noise**2 * age_s
-    ekf.update(heading_model(ekf.x, heading, found.std**2 + drift_variance))
-    if axis.ever_acquired:
-        axis = axis.with_reset(ekf, before)
-    axis = axis._replace(acquired=True, ever_acquired=True, votes=(), stamps_suspect=False)
-    return axis.confirmed(ekf, t_ns, theta_rad)
-
-
-def recover(
-    axis: CorridorAxis, ekf: CorridorEKF, found: Recovery, t_ns: int, theta_rad: float, corrects_heading: bool
-) -> CorridorAxis:
-    """Reset the heading: widen the covariance along the error, and update with the votes' median.
-
-    Parameters
-    ----------
-    axis, ekf, t_ns, theta_rad, corrects_heading
-        As in `start`.
-    found
-        Median of the votes.
-    """
-    before = float(ekf.x[PSI])
-    _widen_heading(ekf, found.heading_rad - before, corrects_heading)
-    expected = heading_model(ekf.x, found.heading_rad, found.std_rad**2)
-    ekf.update(expected._replace(residual=found.heading_rad - before))
-    axis = axis.with_reset(ekf, before)._replace(votes=(), rival=None)
-    return axis.confirmed(ekf, t_ns, theta_rad)
-
-
-def _widen_heading(ekf: CorridorEKF, error_rad: float, corrects_heading: bool) -> None:
-    """Widen the covariance along an error of the heading that leaves psi + o (the IMU's yaw) unchanged."""
-    Q = np.zeros((N_STATES, N_STATES))
-    Q[PSI, PSI] = Q[YAW_OFFSET, YAW_OFFSET] = error_rad**2
-    if corrects_heading:
-        Q[PSI, YAW_OFFSET] = Q[YAW_OFFSET, PSI] = -(error_rad**2)
-    ekf.predict(ekf.x, np.eye(N_STATES), Q)

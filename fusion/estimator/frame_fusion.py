@@ -4,7 +4,7 @@
 
 1. The frame is measured with the filter's prediction (`fusion.estimator.frame_update`), unless it repeats an earlier
    one (`fusion.estimator.camera_repeats`).
-2. Before an axis is known, its heading votes for one (`fusion.estimator.corridor_axis`).
+2. Before an axis is known, its heading votes for one (`fusion.estimator.axis_acquisition`).
 3. Otherwise it updates the filter, robustly and with correlated errors (`fusion.estimator.noise_adaptation`). The
    fault isolation may follow another axis or correct the gyroscope instead (`fusion.estimator.axis_drift`).
 4. A rejected heading votes for another axis, which may be another corridor (`fusion.estimator.junctions`).
@@ -18,6 +18,7 @@ from math import hypot, nan, pi, sqrt
 from fusion.estimator import junctions
 from fusion.estimator import tilt as tilts
 from fusion.estimator.attitude_drift import AttitudeDrift
+from fusion.estimator.axis_acquisition import Recovery, acquire, recover
 from fusion.estimator.axis_drift import MeasuredHeading, with_diagnosis
 from fusion.estimator.camera_delay import (
     DelayedInnovation,
@@ -29,7 +30,6 @@ from fusion.estimator.camera_delay import (
 )
 from fusion.estimator.camera_elevation import Elevation
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.corridor_axis import Recovery, recover, start
 from fusion.estimator.ekf import CorridorEKF
 from fusion.estimator.frame_update import FrameResult, FrameSample, measure_with_prior, reason_to_reject
 from fusion.estimator.hypotheses import Hypothesis
@@ -230,7 +230,7 @@ class FrameFusion:
         """Add a frame to the search for an axis; if that acquires one, use the frame's other measurements too."""
         d, interval_s = s.reckoning, s.frames.interval_s
         axis = s.axis.with_vote(t_ns, d.theta_rad - heading_rad, std_rad, False, interval_s)
-        axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.corrects_heading, self.config, d.mode)
+        axis = acquire(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.corrects_heading, self.config, d.mode)
         axis = axis.with_seen_heading(
             t_ns, heading_rad, std_rad, d, axis.acquired, interval_s, self.config.imu_yaw_std_rad
         )

@@ -3,7 +3,7 @@
 Once enough votes agree (`fusion.estimator.votes`), there are three cases:
 
 - The filter has diverged: the agreed axis is the one that frames last confirmed, or the votes are linked to frames
-  that the filter accepted. The heading is reset to the votes' median (`fusion.estimator.corridor_axis.recover`).
+  that the filter accepted. The heading is reset to the votes' median (`fusion.estimator.axis_acquisition.recover`).
 - Another corridor: the vehicle has turned away from the old axis by at least `FusionConfig.junction_min_turn_rad` and
   faces along the agreed one, within `OBLIQUE_RAD`, for `FusionConfig.junction_time_s` and longer if it is oblique.
   `enter_corridor` changes the axis.
@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from fusion.estimator.axis_acquisition import Recovery
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.corridor_axis import CorridorAxis, PreviousAxis, Recovery, Rival
+from fusion.estimator.corridor_axis import CorridorAxis, PreviousAxis, Rival
 from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET
 from fusion.estimator.votes import AGREEING_SHARE, Agreement, agreement, is_contested
 from vision.rotations import wrap, wrap_axis
@@ -136,7 +137,7 @@ def enter_corridor(
     Parameters
     ----------
     axis, ekf, t_ns, theta_rad, config
-        As in `fusion.estimator.corridor_axis.start`.
+        As in `fusion.estimator.axis_acquisition.acquire`.
     found
         The new axis.
     crossing

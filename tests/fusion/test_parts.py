@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion.estimator import corridor_axis, junctions
+from fusion.estimator import axis_acquisition, junctions
+from fusion.estimator.axis_acquisition import Recovery
 from fusion.estimator.camera_elevation import FLOOR_RAD, Elevation
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.corridor_axis import CorridorAxis, Recovery
+from fusion.estimator.corridor_axis import CorridorAxis
 from fusion.estimator.ekf import CorridorEKF
 from fusion.estimator.engine import Engine
 from fusion.estimator.frame_update import FrameSample, measure_with_prior, reason_to_reject
@@ -175,8 +176,8 @@ def known_axis(**changes: Any) -> CorridorAxis:
 def test_start_takes_the_median_of_frames_that_agree() -> None:
     ekf, config = ekf_at(std=2.0), FusionConfig(start_frames=3)
     axis = CorridorAxis(votes=votes(-0.2, 2))
-    assert corridor_axis.start(axis, ekf, 0, 0.0, False, config, Mode.GYRO) is axis
-    axis = corridor_axis.start(
+    assert axis_acquisition.acquire(axis, ekf, 0, 0.0, False, config, Mode.GYRO) is axis
+    axis = axis_acquisition.acquire(
         CorridorAxis(votes=votes(-0.2, 3)), ekf, 300 * MS, 0.0, False, config, Mode.GYRO
     )
     assert axis.acquired
@@ -191,7 +192,7 @@ def test_a_gyroscope_of_unknown_bias_makes_the_first_heading_less_sure_and_no_gy
     config, sigma = FusionConfig(start_frames=3), {}
     for mode in (Mode.GYRO, Mode.ATTITUDE, Mode.NONE):
         ekf = ekf_at(std=2.0)
-        assert corridor_axis.start(
+        assert axis_acquisition.acquire(
             CorridorAxis(votes=votes(-0.2, 3)), ekf, 300 * MS, 0.0, False, config, mode
         ).acquired
         sigma[mode] = float(ekf.P[PSI, PSI]) ** 0.5
@@ -224,7 +225,7 @@ def test_a_turn_makes_another_corridor_and_no_turn_a_wall() -> None:
 def test_recovery_leaves_what_the_imu_yaw_has_shown() -> None:
     ekf = ekf_at(0.5, 0.0, 0.2, std=0.01)
     found = Recovery(0.1, radians(0.5))
-    axis = corridor_axis.recover(known_axis(votes=votes(0.1, 10)), ekf, found, 0, 0.0, True)
+    axis = axis_acquisition.recover(known_axis(votes=votes(0.1, 10)), ekf, found, 0, 0.0, True)
     assert float(ekf.x[PSI]) == pytest.approx(0.1, abs=0.01)
     assert float(ekf.x[PSI] + ekf.x[YAW_OFFSET]) == pytest.approx(0.7, abs=0.01)
     assert axis.reset_count == 1
