@@ -28,7 +28,7 @@ def prepare_process(memory_bytes: int | None) -> None:
 
     It limits its memory to ``memory_bytes``, leaves interrupts to its parent, and ends when the parent has ended.
     """
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_leave_with_parent, daemon=True).start()
@@ -53,16 +53,18 @@ def process_id() -> int:
 
 @cache
 def limit_threads() -> None:
-    """Limit OpenCV, BLAS, OpenMP and numba to one thread in this process: there is one process per core."""
+    """Limit OpenCV, BLAS and OpenMP to one thread in this process: there is one process per core.
+
+    numba starts no threads, as no compiled code is parallel; to set their number after its import makes it refuse to
+    compile.
+    """
     import cv2
-    import numba
     import numpy  # noqa: F401  # its BLAS must be loaded to be limited
     import scipy.linalg  # noqa: F401
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(1)
     cv2.setNumThreads(1)
-    numba.set_num_threads(1)
 
 
 def fuse_task(task: Task) -> FleetRow:
