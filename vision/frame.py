@@ -17,7 +17,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from functools import lru_cache
-from math import hypot, isfinite, isnan, nan, radians, sqrt
+from math import hypot, isfinite, isnan, nan, radians, sin, sqrt
 from typing import Any, Literal, NamedTuple, get_args
 
 import cv2
@@ -65,6 +65,7 @@ MAX_PREDICTION_ERROR_RAD = radians(1.5)  # predicted minus measured heading, to 
 MOUNT_ROLL_STD_RAD = radians(1.0)  # upper limit: cameras are mounted at a chosen pitch, but hardly rolled
 MAX_SLOPE_RAD = radians(3.0)  # of a predicted elevation, the part that may be a slope
 SLOPE_STD_RAD = radians(0.2)  # floors and ceilings are level to about this
+SLOPE_PROBABILITY = 0.5  # that an elevation of the axis is a slope, not an error of the mounting pitch
 UNKNOWN_ATTITUDE = Attitude(0.0, 0.0, std_rad=radians(12.0))
 
 __all__ = ["LineSet", "Method", "extract_lines", "measure_frame", "measure_lines", "warm_up"]
@@ -175,7 +176,7 @@ def measure_lines(
     offset = _OffsetResult()
     if lateral:
         offset = _measure_offset(heading, fit, lines, camera, level, prior)
-    return _frame_measurement(heading, offset, fit, lines, camera, level, prior, started)
+    return _frame_measurement(heading, offset, fit, lines, camera, level, attitude, prior, started)
 
 
 @lru_cache(maxsize=8)
@@ -282,11 +283,14 @@ def _frame_measurement(
     lines: LineSet,
     camera: Camera,
     level: LevelFrame,
+    attitude: Attitude,
     prior: Prior,
     started: float,
 ) -> FrameMeasurement:
     """Assemble the measurement; ``started`` is the start time of the computation, seconds."""
     vp_px, vp_cov_px2 = _vanishing_point(fit, camera, level.R_level_camera)
+    lasting = fit.split_variance + _slope_variance(attitude, level, prior)
+    heading_std_rad = sqrt(heading.heading_std_rad**2 - fit.split_variance + lasting)
     return FrameMeasurement(
         accepted=heading.reason is Reason.OK,
         reason=heading.reason,
@@ -295,8 +299,8 @@ def _frame_measurement(
         vp_px=vp_px,
         vp_cov_px2=vp_cov_px2,
         heading_rad=fit.heading_rad,
-        heading_std_rad=heading.heading_std_rad,
-        heading_lasting_std_rad=_lasting_std_rad(heading.heading_std_rad, fit.split_variance),
+        heading_std_rad=heading_std_rad,
+        heading_lasting_std_rad=sqrt(LASTING_SHARE**2 * (heading_std_rad**2 - lasting) + lasting),
         heading_split_std_rad=sqrt(fit.split_variance),
         elevation_rad=prior.elevation_rad + level.pitch_correction_rad + fit.elevation_rad,
         elevation_std_rad=sqrt(fit.covariance[1, 1]),
@@ -314,9 +318,14 @@ def _frame_measurement(
     )
 
 
-def _lasting_std_rad(heading_std_rad: float, split_variance: float) -> float:
-    """Return the part of a heading's sigma that the next pictures have in common: of a split all of it."""
-    return sqrt(LASTING_SHARE**2 * (heading_std_rad**2 - split_variance) + split_variance)
+def _slope_variance(attitude: Attitude, level: LevelFrame, prior: Prior) -> float:
+    """Return the heading's variance from what may be a slope but is taken for an error of the mounting pitch.
+
+    A mounting pitch turns with the body's roll; a slope does not. Confusing them shifts the heading by the angle
+    times the sine of the roll. What vertical lines have shown to be a slope is no longer in the pitch.
+    """
+    pitch_rad = prior.elevation_rad + level.pitch_correction_rad
+    return SLOPE_PROBABILITY * (min(abs(pitch_rad), MAX_SLOPE_RAD) * sin(attitude.roll_rad)) ** 2
 
 
 def _measure_offset(

@@ -251,6 +251,20 @@ def test_a_slope_that_is_expected_does_not_turn_the_heading_of_a_body_that_rolls
     assert abs(m.heading_rad - 0.1) < 0.2 * abs(error_of_a_mount_rad) + radians(0.03)
 
 
+@pytest.mark.parametrize("slope_deg", [-4.0, 3.0])
+@pytest.mark.parametrize("roll_deg", [-12.0, -2.0, 6.0])
+def test_where_no_post_tells_a_slope_from_a_mounting_pitch_the_sigma_contains_it(
+    corridor: Any, seen: Any, slope_deg: float, roll_deg: float
+) -> None:
+    truth = corridor(heading_rad=0.1, roll_rad=radians(roll_deg), slope_rad=radians(slope_deg), posts=False)
+    prior = Prior(elevation_rad=radians(slope_deg), elevation_std_rad=radians(0.2))
+    m = measure_lines(seen(truth, CAMERA), CAMERA, Attitude(radians(roll_deg), 0.0), prior)
+    error_of_a_mount_rad = abs(radians(slope_deg) * np.sin(radians(roll_deg)))
+    assert abs(m.heading_rad - 0.1) == pytest.approx(error_of_a_mount_rad, rel=0.3)
+    assert 0.4 * error_of_a_mount_rad < m.heading_lasting_std_rad < m.heading_std_rad
+    assert m.heading_std_rad < error_of_a_mount_rad + radians(0.1)
+
+
 @pytest.mark.parametrize("mount_deg", [-8.0, -3.0, 5.0])
 @pytest.mark.parametrize("roll_deg", [-12.0, 6.0])
 @pytest.mark.parametrize("is_learned", [False, True])
