@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import Estimate
 from fusion.estimator.estimator import CorridorEstimator
-from fusion.estimator.lateral.cross_section import HELD_S, MIN_CHANGE, SHIFT_NORM, CrossSection
+from fusion.estimator.lateral.cross_section import HELD_S, MIN_CHANGE, CrossSection
 from tests.fusion.simulated import frame
 
 MS = 1_000_000
@@ -44,10 +44,11 @@ def test_the_earlier_width_ends_it_but_not_a_value_between() -> None:
     assert held([1.1] * 40 + [1.5] * 10 + [1.25])[-1] is True
 
 
-def test_what_does_not_shift_the_offset_is_used() -> None:
-    change = exp(0.3)
-    assert not any(held([1.1] * 40 + [1.1 * change] * 100, offset=0.9 * SHIFT_NORM / (change - 1.0)))
-    assert any(held([1.1] * 40 + [1.1 * change] * 100, offset=-1.1 * SHIFT_NORM / (change - 1.0)))
+@given(st.floats(-0.9, 0.9))
+def test_it_is_held_back_wherever_the_vehicle_is(offset: float) -> None:
+    """In the middle too: where one wall alone steps, the centre line does as well."""
+    assert all(held([1.1] * 40 + [1.1 * exp(1.1 * MIN_CHANGE)] * 40, offset)[40:])
+    assert not any(held([1.1] * 40 + [1.1 * exp(0.9 * MIN_CHANGE)] * 40, offset))
 
 
 def test_an_uncertain_aspect_and_none_change_nothing() -> None:

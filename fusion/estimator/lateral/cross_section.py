@@ -5,14 +5,14 @@ narrower, a frame increasingly shows the walls beyond it, and its offset refers 
 its width, by the frame's four corners, reveals it: neither a displacement nor a climb of the vehicle changes it.
 
 It is averaged over the frames. Frames are held back from one on whose aspect differs from the average by more than
-`MIN_CHANGE`, and `CHANGE_SIGMA` of its sigmas, if that other width would shift the offset by more than `SHIFT_NORM`;
-up to one that has clearly the average aspect again. After `HELD_S` the vehicle is assumed to be beyond the place, and
-the average of the frames that were held back is the new one.
+`MIN_CHANGE`, and `CHANGE_SIGMA` of its sigmas, up to one that has clearly the average aspect again. This holds where
+the offset is 0 too: if only one wall steps, the centre line does as well. After `HELD_S` the vehicle is assumed to be
+beyond the place, and the average of the frames that were held back is the new one.
 """
 
 from __future__ import annotations
 
-from math import exp, expm1, log
+from math import exp, log
 from typing import NamedTuple
 
 from fusion.estimator.sample_times import seconds_since
@@ -22,7 +22,6 @@ MIN_CHANGE = 0.15  # of the logarithm of height over width; lasting errors of th
 MAX_RETURNED = 0.075  # a smaller change shows the average cross-section again
 CHANGE_SIGMA = 3.0
 MAX_LOG_STD = 0.3  # less certain aspects are not used
-SHIFT_NORM = 0.07  # half widths
 AVERAGE_S = 3.0  # time constant of the average
 MAX_INTERVAL_S = 0.5  # of two frames in the average
 HELD_S = 4.0
@@ -78,7 +77,6 @@ class CrossSection(NamedTuple):
             is_another = change > MAX_RETURNED
         else:
             is_another = self.average.n > 0 and change > max(MIN_CHANGE, CHANGE_SIGMA * log_std)
-            is_another &= abs(m.lateral_offset_norm) * expm1(change) > SHIFT_NORM
         if not is_another:
             return CrossSection(self.average.with_value(t_ns, log_aspect))
         other = self.other.with_value(t_ns, log_aspect)
