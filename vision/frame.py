@@ -289,8 +289,9 @@ def _frame_measurement(
 ) -> FrameMeasurement:
     """Assemble the measurement; ``started`` is the start time of the computation, seconds."""
     vp_px, vp_cov_px2 = _vanishing_point(fit, camera, level.R_level_camera)
-    lasting = fit.split_variance + _slope_variance(attitude, level, prior)
-    heading_std_rad = sqrt(heading.heading_std_rad**2 - fit.split_variance + lasting)
+    slope_variance = _slope_variance(attitude, level, prior)
+    heading_std_rad = sqrt(heading.heading_std_rad**2 + slope_variance)
+    lasting = fit.split_variance + slope_variance  # all of it
     return FrameMeasurement(
         accepted=heading.reason is Reason.OK,
         reason=heading.reason,
