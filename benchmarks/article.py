@@ -13,11 +13,11 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from fusion.estimator.tables import Table
 from fusion.evaluation.errors import mae, rmse
 from fusion.flight import FrameStream
 from vision import Attitude, Camera
@@ -26,7 +26,6 @@ from vision.paper.measure import equation_8, measure_paper
 from vision.rotations import yaw_of
 
 FloatArray = npt.NDArray[np.float64]
-Rows = npt.NDArray[Any]
 
 ROOT = Path(__file__).resolve().parents[1]
 ARTICLE = ROOT / "data" / "article"
@@ -38,19 +37,19 @@ SIZES_PX = ((640, 480), (320, 240), (256, 256))
 STRETCHES = {"mononav_hallway": slice(0, 42)}
 
 
-def load_rows(name: str) -> Rows:
+def load_rows(name: str) -> Table:
     """Read one of the CSV files of ``data/article`` as a structured array."""
     return np.genfromtxt(ARTICLE / name, delimiter=",", names=True, dtype=None, encoding="utf-8")
 
 
-def computed_yaw_deg(rows: Rows) -> FloatArray:
+def computed_yaw_deg(rows: Table) -> FloatArray:
     """Equation (8) at the rows' printed vanishing points, degrees."""
     yaw_rad = equation_8(rows["vp_x_px"], rows["vp_y_px"], rows["width_px"], rows["height_px"])
     return np.degrees(yaw_rad)
 
 
-def misprinted(rows: Rows) -> npt.NDArray[np.bool_]:
-    """Rows whose printed yaw does not follow from their printed vanishing point."""
+def misprinted(rows: Table) -> npt.NDArray[np.bool_]:
+    """Table whose printed yaw does not follow from their printed vanishing point."""
     off = np.abs(computed_yaw_deg(rows) - rows["paper_yaw_deg"])
     return np.asarray(off > PRINT_TOLERANCE_DEG, dtype=np.bool_)
 
@@ -60,14 +59,14 @@ def truncate(value: float) -> float:
     return math.floor(value * 100 + 1e-9) / 100
 
 
-def figure_errors(rows: Rows, figure: int) -> tuple[float, float]:
+def figure_errors(rows: Table, figure: int) -> tuple[float, float]:
     """RMSE and MAE of one figure's printed yaws against its actual ones, equations (9) and (10), degrees."""
     mine = rows[rows["figure"] == figure]
     printed, actual = mine["paper_yaw_deg"], mine["actual_yaw_deg"]
     return rmse(printed, actual), mae(printed, actual)
 
 
-def overall_errors(tables: Rows, column: str) -> tuple[float, float, float]:
+def overall_errors(tables: Table, column: str) -> tuple[float, float, float]:
     """Mean of the printed figures towards the left, towards the right, and of these two, as the article."""
     left, right = (float(np.mean(tables[column][tables["toward"] == side])) for side in ("left", "right"))
     return left, right, (left + right) / 2

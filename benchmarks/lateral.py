@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, nan
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -35,6 +35,7 @@ from fusion.estimator.lateral.gaussian_sum import (
     readout,
     update,
 )
+from fusion.estimator.tables import Table
 from fusion.flight import CorridorTruth, FrameStream
 from fusion.simulate import SimulationConfig, simulate_flight
 from support.cases import flight_named
@@ -111,7 +112,7 @@ class Score:
     first_s: float
 
 
-def errors_of(rows: npt.NDArray[Any], frames: npt.NDArray[Any], truth: CorridorTruth) -> Errors:
+def errors_of(rows: Table, frames: Table, truth: CorridorTruth) -> Errors:
     """Compare a table of estimates with the truth where frames are, outside junctions."""
     t = frames["timestamp_ns"]
     at = np.clip(np.searchsorted(rows["timestamp_ns"], t, side="right") - 1, 0, None)

@@ -130,7 +130,7 @@ def _ages_s(rows: Table, then_ns: int | None) -> FloatArray:
     """Return the age (n,) at each row; NaN if ``then_ns`` is None."""
     if then_ns is None:
         return np.full(len(rows), nan)
-    return (rows["timestamp_ns"] - then_ns) * 1e-9
+    return np.asarray((rows["timestamp_ns"] - then_ns) * 1e-9)
 
 
 def _offsets_along(

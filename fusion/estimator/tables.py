@@ -7,7 +7,7 @@ A table is a numpy structured array whose field names are the CSV's columns, so 
 from __future__ import annotations
 
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,23 @@ if TYPE_CHECKING:
     from fusion.estimator.config import FusionConfig
     from fusion.estimator.estimate import Estimate
 
-Table = npt.NDArray[np.void]
+if TYPE_CHECKING:
+
+    class Table(Protocol):
+        """A structured array whose columns are `Any`: numpy's type for them takes mypy a second a line."""
+
+        @property
+        def dtype(self) -> np.dtype[np.void]: ...  # noqa: D102
+        def __array__(self) -> npt.NDArray[np.void]: ...
+        def __getitem__(self, key: Any, /) -> Any: ...
+        def __setitem__(self, key: Any, value: Any, /) -> None: ...
+        def __len__(self) -> int: ...
+        def __iter__(self) -> Any: ...
+        def copy(self) -> Table: ...  # noqa: D102
+        def tobytes(self) -> bytes: ...  # noqa: D102
+
+else:
+    Table = npt.NDArray[np.void]
 
 
 class Column(NamedTuple):

@@ -8,10 +8,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table
 from fusion.flight import AttitudeStream, CorridorTruth, Flight, FloatArray, FrameStream, ImuStream, TimeArray
 from fusion.logs.pictures.camera_folder import PictureFiles
 from fusion.result.result import FusionResult
@@ -21,7 +20,7 @@ T0_NS = 1_600_000_000_000_000_000
 WIDTH_M = 2.0
 CAMERA_HEIGHT_M = 1.2
 
-Table = npt.NDArray[np.void]
+
 Fused = tuple[FusionResult, Flight]
 
 
