@@ -116,7 +116,8 @@ def draw_building(seed: int, fixed: Mapping[str, Any]) -> dict[str, Any]:
     values |= _contents(draw)
     values |= _light(draw, values["width_m"], night)
     values["strips"] = _strips(draw, values["width_m"], values["height_m"])
-    return values | _structure(seed, values)
+    values |= _structure(seed, values)
+    return values | {"strips": (*values["strips"], *_along_the_walls(seed, values))}
 
 
 def _plan(draw: _Draw, size: Mapping[str, Any], fixed: Mapping[str, Any]) -> dict[str, Any]:
@@ -251,6 +252,44 @@ def _structure(seed: int, values: Mapping[str, Any]) -> dict[str, Any]:
         soffits = ({"at_m": side * (width - wide) / 2, **soffit} for side in sides)
         found["strips"] = (*values["strips"], *soffits)
     return found
+
+
+def _along_the_walls(seed: int, values: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Sometimes line the walls: low cabinets, a raised kerb, pipes near the floor, or a border below a bulkhead.
+
+    Their edges run along the corridor beside the corners of walls, floor and ceiling. It uses separate random numbers.
+    """
+    draw = _Draw(seed, stream=13)
+    width = values["width_m"]
+    kind = draw.one_of(None, "cabinets", "kerb", "pipes", "border", p=(0.7, 0.08, 0.06, 0.08, 0.08))
+    sides = draw.one_of((-1, 1), (-1,), (1,), p=(0.2, 0.4, 0.4))
+    wide = draw.between(0.06, 0.24) * width
+    strips: list[dict[str, Any]] = []
+    for side in sides if kind else ():
+        wall = Surface.LEFT if side < 0 else Surface.RIGHT
+        beside_wall = {"at_m": side * (width - wide) / 2, "width_m": wide}
+        if kind == "cabinets":
+            high = draw.between(0.4, 1.2)
+            cabinet = {"at_m": high / 2, "width_m": high, "depth_m": min(wide, 0.6)}
+            texture = draw.one_of("wood", "metal", None)
+            strips.append({"on": wall, **cabinet, "albedo": draw.albedo(), "texture": texture})
+        elif kind == "kerb":
+            high, albedo = draw.between(0.08, 0.35), draw.between(0.15, 0.6)
+            strips.append({"on": Surface.FLOOR, **beside_wall, "depth_m": high, "albedo": albedo})
+        elif kind == "pipes":
+            level = draw.between(0.02, 0.4)
+            for _ in range(draw.count(1, 3)):
+                size, gap = draw.scale(0.04, 0.22), draw.between(0.01, 0.1)
+                pipe = {"at_m": level + size / 2, "width_m": size, "gap_m": gap, "round": True}
+                strips.append({"on": wall, **pipe, "albedo": draw.albedo()})
+                level += size + draw.between(0.02, 0.15)
+        else:
+            border = {"albedo": draw.albedo(), "texture": draw.one_of("carpet", "vinyl", None)}
+            bulkhead = {"depth_m": draw.between(0.1, 0.6), "albedo": draw.between(0.4, 0.88)}
+            strips.append({"on": Surface.FLOOR, **beside_wall, **border})
+            if draw.chance(0.6):
+                strips.append({"on": Surface.CEILING, **beside_wall, **bulkhead})
+    return strips
 
 
 def _openings(draw: _Draw, values: Mapping[str, Any], night: bool) -> dict[str, Any]:
