@@ -396,6 +396,7 @@ def test_every_feature_is_in_a_sensible_share_of_random_corridors() -> None:
     def strips(scene: SceneConfig, *surfaces: str) -> list[StripConfig]:
         return [strip for strip in scene.strips if strip.on in surfaces]
 
+    walls = ("left", "right")
     shares = {
         "brick": [s.wall_of("left").finish == "brick" for s in scenes],
         "wall tiles": ["tiles" in (s.wall_of("right").finish, s.wall_of("right").lower_finish) for s in scenes],
@@ -409,6 +410,13 @@ def test_every_feature_is_in_a_sensible_share_of_random_corridors() -> None:
         "along a wall": [bool(strips(s, "left", "right")) for s in scenes],
         "along the floor": [bool(strips(s, "floor")) for s in scenes],
         "along the ceiling": [bool(strips(s, "ceiling")) for s in scenes],
+        "low cabinets": [any(c.depth_m > 0.07 and c.width_m > 0.4 for c in strips(s, *walls)) for s in scenes],
+        "kerb": [any(k.depth_m > 0.0 for k in strips(s, "floor")) for s in scenes],
+        "pipe near the floor": [any(p.round and p.at_m < 0.4 for p in strips(s, *walls)) for s in scenes],
+        "border below a bulkhead": [
+            any(c.depth_m > 0.0 and c.at_m == f.at_m for c in strips(s, "ceiling") for f in strips(s, "floor"))
+            for s in scenes
+        ],
         "gutter": [any(strip.slot_spacing_m for strip in strips(s, "floor")) for s in scenes],
         "alcoves": [s.alcove_share > 0 for s in scenes],
         "ajar": [s.ajar_share > 0 for s in scenes],

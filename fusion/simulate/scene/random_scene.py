@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from fusion.simulate.scene.config import Ceiling, End, Floor, Side, Sides, Surface, WallConfig, WallFinish
+from fusion.simulate.scene.draw import Draw
+from fusion.simulate.scene.random_strips import draw_strips, draw_wall_linings
 
 NIGHT_SHARE = 0.25
 FREE_HALF_M = 0.6
@@ -63,45 +65,9 @@ def draw_office(seed: int) -> dict[str, object]:
     }
 
 
-class _Draw:
-    """Random numbers under short names."""
-
-    def __init__(self, seed: int, stream: int = 10) -> None:
-        self.rng = np.random.default_rng((seed, stream))
-
-    def chance(self, share: float) -> bool:
-        """Return whether an event of this probability occurs."""
-        return bool(self.rng.random() < share)
-
-    def between(self, low: float, high: float) -> float:
-        """Draw from a uniform distribution."""
-        return float(self.rng.uniform(low, high))
-
-    def scale(self, low: float, high: float) -> float:
-        """Draw from a log-uniform distribution."""
-        return float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
-
-    def count(self, low: int, high: int) -> int:
-        """Draw an integer, both ends included."""
-        return int(self.rng.integers(low, high + 1))
-
-    def one_of(self, *values: Any, p: Sequence[float] | None = None) -> Any:
-        """Draw one of the values, with these probabilities."""
-        return values[int(self.rng.choice(len(values), p=p))]
-
-    def albedo(self) -> float:
-        """Draw a dark, medium or light albedo."""
-        return float(self.one_of(self.between(0.03, 0.15), self.between(0.15, 0.5), self.between(0.5, 0.85)))
-
-    def sides(self) -> tuple[Surface, ...]:
-        """Draw both walls, or one of them."""
-        choices = ((Surface.LEFT, Surface.RIGHT), (Surface.LEFT,), (Surface.RIGHT,))
-        return choices[int(self.rng.choice(3, p=(0.5, 0.25, 0.25)))]
-
-
 def draw_building(seed: int, fixed: Mapping[str, Any]) -> dict[str, Any]:
     """Draw the settings of a corridor of any kind of building, consistent with those ``fixed``."""
-    draw, night = _Draw(seed), is_night(seed)
+    draw, night = Draw(seed), is_night(seed)
     values: dict[str, Any] = {
         "length_m": draw.between(12, 40),
         "width_m": draw.scale(1.3, 3.8),
@@ -115,12 +81,12 @@ def draw_building(seed: int, fixed: Mapping[str, Any]) -> dict[str, Any]:
     values |= _openings(draw, values | dict(fixed), night)
     values |= _contents(draw)
     values |= _light(draw, values["width_m"], night)
-    values["strips"] = _strips(draw, values["width_m"], values["height_m"])
+    values["strips"] = draw_strips(draw, values["width_m"], values["height_m"])
     values |= _structure(seed, values)
-    return values | {"strips": (*values["strips"], *_along_the_walls(seed, values))}
+    return values | {"strips": (*values["strips"], *draw_wall_linings(seed, values["width_m"]))}
 
 
-def _plan(draw: _Draw, size: Mapping[str, Any], fixed: Mapping[str, Any]) -> dict[str, Any]:
+def _plan(draw: Draw, size: Mapping[str, Any], fixed: Mapping[str, Any]) -> dict[str, Any]:
     """Draw a junction, a step in the width, an open side or a slope: one of them, or none."""
     length, width = size["length_m"], size["width_m"]
     kind = draw.one_of("plain", "junction", "step", "hall", "slope", p=(0.48, 0.17, 0.12, 0.12, 0.11))
@@ -155,7 +121,7 @@ def _plan(draw: _Draw, size: Mapping[str, Any], fixed: Mapping[str, Any]) -> dic
     return {"slope_rad": draw.one_of(-1.0, 1.0) * draw.between(0.01, 0.085)}
 
 
-def _wall(draw: _Draw) -> WallConfig:
+def _wall(draw: Draw) -> WallConfig:
     finish = draw.one_of(
         WallFinish.PLASTER, WallFinish.BRICK, WallFinish.BLOCKS, WallFinish.PANELS, WallFinish.TILES,
         p=(0.46, 0.22, 0.12, 0.08, 0.12),
@@ -184,7 +150,7 @@ def _wall(draw: _Draw) -> WallConfig:
     )
 
 
-def _surfaces(draw: _Draw) -> dict[str, Any]:
+def _surfaces(draw: Draw) -> dict[str, Any]:
     """Draw walls, floor and ceiling; sometimes the walls differ, or their skirting boards."""
     left = _wall(draw)
     kind = draw.one_of("alike", "skirting", "own", p=(0.6, 0.2, 0.2))
@@ -230,7 +196,7 @@ def _structure(seed: int, values: Mapping[str, Any]) -> dict[str, Any]:
 
     It uses separate random numbers, so that the rest of a corridor is the same with and without it.
     """
-    draw = _Draw(seed, stream=12)
+    draw = Draw(seed, stream=12)
     width, height = values["width_m"], values["height_m"]
     kind = draw.one_of(None, "pillars", "beams", "portals", "soffits", p=(0.72, 0.07, 0.07, 0.07, 0.07))
     spacing, albedo = draw.between(1.8, 6.0), draw.between(0.2, 0.85)
@@ -254,45 +220,7 @@ def _structure(seed: int, values: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _along_the_walls(seed: int, values: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Sometimes line the walls: low cabinets, a raised kerb, pipes near the floor, or a border below a bulkhead.
-
-    Their edges run along the corridor beside the corners of walls, floor and ceiling. It uses separate random numbers.
-    """
-    draw = _Draw(seed, stream=13)
-    width = values["width_m"]
-    kind = draw.one_of(None, "cabinets", "kerb", "pipes", "border", p=(0.7, 0.08, 0.06, 0.08, 0.08))
-    sides = draw.one_of((-1, 1), (-1,), (1,), p=(0.2, 0.4, 0.4))
-    wide = draw.between(0.06, 0.24) * width
-    strips: list[dict[str, Any]] = []
-    for side in sides if kind else ():
-        wall = Surface.LEFT if side < 0 else Surface.RIGHT
-        beside_wall = {"at_m": side * (width - wide) / 2, "width_m": wide}
-        if kind == "cabinets":
-            high = draw.between(0.4, 1.2)
-            cabinet = {"at_m": high / 2, "width_m": high, "depth_m": min(wide, 0.6)}
-            texture = draw.one_of("wood", "metal", None)
-            strips.append({"on": wall, **cabinet, "albedo": draw.albedo(), "texture": texture})
-        elif kind == "kerb":
-            high, albedo = draw.between(0.08, 0.35), draw.between(0.15, 0.6)
-            strips.append({"on": Surface.FLOOR, **beside_wall, "depth_m": high, "albedo": albedo})
-        elif kind == "pipes":
-            level = draw.between(0.02, 0.4)
-            for _ in range(draw.count(1, 3)):
-                size, gap = draw.scale(0.04, 0.22), draw.between(0.01, 0.1)
-                pipe = {"at_m": level + size / 2, "width_m": size, "gap_m": gap, "round": True}
-                strips.append({"on": wall, **pipe, "albedo": draw.albedo()})
-                level += size + draw.between(0.02, 0.15)
-        else:
-            border = {"albedo": draw.albedo(), "texture": draw.one_of("carpet", "vinyl", None)}
-            bulkhead = {"depth_m": draw.between(0.1, 0.6), "albedo": draw.between(0.4, 0.88)}
-            strips.append({"on": Surface.FLOOR, **beside_wall, **border})
-            if draw.chance(0.6):
-                strips.append({"on": Surface.CEILING, **beside_wall, **bulkhead})
-    return strips
-
-
-def _openings(draw: _Draw, values: Mapping[str, Any], night: bool) -> dict[str, Any]:
+def _openings(draw: Draw, values: Mapping[str, Any], night: bool) -> dict[str, Any]:
     """Draw doors, alcoves, the end and windows."""
     side, has_windows = draw.one_of(*Side), draw.chance(0.2)
     sill = draw.one_of(draw.between(0.0, 0.2), draw.between(0.6, 1.2))
@@ -320,7 +248,7 @@ def _openings(draw: _Draw, values: Mapping[str, Any], night: bool) -> dict[str, 
     }
 
 
-def _contents(draw: _Draw) -> dict[str, Any]:
+def _contents(draw: Draw) -> dict[str, Any]:
     """Draw the objects in the corridor."""
 
     def spacing(share: float, low: float, high: float) -> float:
@@ -339,7 +267,7 @@ def _contents(draw: _Draw) -> dict[str, Any]:
     }
 
 
-def _light(draw: _Draw, width_m: float, night: bool) -> dict[str, Any]:
+def _light(draw: Draw, width_m: float, night: bool) -> dict[str, Any]:
     lamps = ((1.2, 0.6), (0.6, 0.6), (0.3, 1.2), (1.4, 0.15), (0.12, 1.4), (0.3, 0.3))
     size = draw.one_of(*lamps)
     return {
@@ -352,121 +280,3 @@ def _light(draw: _Draw, width_m: float, night: bool) -> dict[str, Any]:
         "daylight": draw.scale(0.02, 0.3) if night else draw.between(1.0, 12.0),
         "ambient": draw.scale(0.002, 0.03) if night else draw.between(0.005, 0.05),
     }
-
-
-def _strips(draw: _Draw, width_m: float, height_m: float) -> tuple[dict[str, Any], ...]:
-    """Draw strips along the walls, the floor and the ceiling."""
-    return (
-        *_wall_strips(draw),
-        *_floor_strips(draw, width_m),
-        *_service_runs(draw, width_m, height_m),
-    )
-
-
-def _wall_strips(draw: _Draw) -> list[dict[str, Any]]:
-    """Draw painted lines and dado rails, handrails, ledges and cable ducts, sometimes at unequal heights."""
-    strips: list[dict[str, Any]] = []
-    if draw.chance(0.3):
-        level, wide = draw.between(0.6, 1.6), draw.between(0.03, 0.25)
-        deep, albedo = draw.one_of(0.0, draw.between(0.008, 0.04)), draw.albedo()
-        for side in draw.sides():
-            at = level + draw.one_of(0.0, draw.between(-0.3, 0.3), p=(0.6, 0.4))
-            strips.append({"on": side, "at_m": at, "width_m": wide, "depth_m": deep, "albedo": albedo})
-    if draw.chance(0.2):
-        rail = {
-            "width_m": draw.between(0.03, 0.14), "depth_m": draw.between(0.02, 0.05), "albedo": draw.albedo(),
-            "gap_m": draw.between(0.03, 0.06), "texture": draw.one_of("wood", "metal", None),
-            "round": draw.chance(0.4),
-        }  # fmt: skip
-        levels = draw.one_of((0.92,), (0.92, 0.65), (0.95, 0.35), p=(0.6, 0.2, 0.2))
-        strips += [{"on": side, "at_m": level, **rail} for side in draw.sides() for level in levels]
-    if draw.chance(0.18):
-        ledge = {
-            "at_m": draw.one_of(draw.between(0.15, 1.3), draw.between(2.1, 2.2)), "width_m": draw.between(0.04, 0.2),
-            "depth_m": draw.between(0.04, 0.15), "albedo": draw.albedo(),
-        }  # fmt: skip
-        strips += [{"on": side, **ledge} for side in draw.sides()]
-    return strips
-
-
-def _floor_strips(draw: _Draw, width_m: float) -> list[dict[str, Any]]:
-    """Draw painted lines, stripes of carpet and gutters, sometimes on one side only."""
-    strips: list[dict[str, Any]] = []
-    half = width_m / 2
-    hand = draw.one_of((-1, 1), (-1,), (1,), p=(0.45, 0.275, 0.275))
-    if draw.chance(0.25):
-        inset, wide, albedo = draw.between(0.08, 0.45 * half + 0.1), draw.between(0.04, 0.14), draw.albedo()
-        strips += [
-            {"on": Surface.FLOOR, "at_m": side * (half - inset), "width_m": wide, "albedo": albedo}
-            for side in hand
-        ]
-        if draw.chance(0.3):
-            at = draw.between(-0.3, 0.3) * half
-            strips.append({"on": Surface.FLOOR, "at_m": at, "width_m": wide, "albedo": albedo})
-    if draw.chance(0.2):
-        wide = draw.between(0.08, 0.35 * half)
-        inset = draw.one_of(wide / 2, wide / 2 + draw.between(0.05, 0.3 * half))
-        stripe = {"width_m": wide, "albedo": draw.albedo(), "texture": draw.one_of("carpet", "vinyl")}
-        strips += [{"on": Surface.FLOOR, "at_m": side * (half - inset), **stripe} for side in hand]
-    if draw.chance(0.12):
-        wide = draw.between(0.08, 0.25)
-        at = draw.one_of(-1, 1) * (half - wide / 2 - draw.between(0.0, 0.4))
-        grate = {
-            "slot_spacing_m": draw.between(0.025, 0.06),
-            "texture": "metal",
-            "albedo": draw.between(0.1, 0.4),
-        }
-        strips.append({"on": Surface.FLOOR, "at_m": at, "width_m": wide, **grate})
-    return strips
-
-
-def _service_runs(draw: _Draw, width_m: float, height_m: float) -> list[dict[str, Any]]:
-    """Draw pipes, cable trays and ducts under the ceiling and on the walls."""
-    strips: list[dict[str, Any]] = []
-    half, side = width_m / 2, draw.one_of(-1, 1)
-    if draw.chance(0.35):
-        at = half - draw.between(0.08, 0.2)
-        for _ in range(draw.count(1, 5)):
-            size = draw.scale(0.02, 0.18)
-            at -= size / 2
-            pipe = {
-                "albedo": draw.albedo(),
-                "texture": draw.one_of("metal", None),
-                "gap_m": draw.between(0.03, 0.3),
-            }
-            strips.append({"on": Surface.CEILING, "at_m": side * at, "width_m": size, "round": True, **pipe})
-            at -= size / 2 + draw.between(0.02, 0.2)
-            if at < -0.8 * half:
-                break
-    if draw.chance(0.15):
-        size = draw.scale(0.02, 0.12)
-        wall = draw.one_of(Surface.LEFT, Surface.RIGHT)
-        levels = [draw.one_of(draw.between(0.1, 0.5), height_m - draw.between(0.08, 0.4))]
-        if draw.chance(0.5):
-            levels.append(levels[0] - size - 0.05)
-        pipe = {"on": wall, "width_m": size, "gap_m": 0.03, "round": True, "albedo": draw.albedo()}
-        strips += [{"at_m": level, **pipe} for level in levels]
-    if draw.chance(0.2):
-        wide = min(draw.between(0.12, 0.5), 0.4 * width_m)
-        tray = {
-            "gap_m": draw.between(0.1, 0.4),
-            "slot_spacing_m": draw.between(0.05, 0.3),
-            "texture": "metal",
-        }
-        at = draw.one_of(-1, 1) * (half - wide / 2 - draw.between(0.02, 0.3))
-        strips.append(
-            {"on": Surface.CEILING, "at_m": at, "width_m": wide, "depth_m": 0.06, "albedo": 0.4, **tray}
-        )
-    if draw.chance(0.15):  # a boxed-in duct along the wall
-        wide, deep = min(draw.between(0.15, 0.6), 0.35 * width_m), draw.between(0.1, 0.35)
-        at = -side * (half - wide / 2)
-        strips.append(
-            {
-                "on": Surface.CEILING,
-                "at_m": at,
-                "width_m": wide,
-                "depth_m": deep,
-                "albedo": draw.between(0.3, 0.85),
-            }
-        )
-    return strips
